@@ -1,0 +1,46 @@
+//! Rust errors become typed Python exceptions, here and nowhere else.
+//!
+//! `FuseError(Exception)` is the root; `InputError(FuseError, ValueError)` is anything that the
+//! caller can put right: the command line turns it into exit status 2.
+
+use pyo3::exceptions::{PyException, PyValueError};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyTuple, PyType};
+
+static FUSE_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static INPUT_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+
+fn new_type(py: Python<'_>, name: &str, doc: &str, bases: Bound<'_, PyTuple>) -> PyResult<Py<PyType>> {
+    let namespace = pyo3::types::PyDict::new(py);
+    namespace.set_item("__module__", "fuse_grounding.errors")?;
+    namespace.set_item("__doc__", doc)?;
+    Ok(py.get_type::<PyType>().call1((name, bases, namespace))?.cast_into::<PyType>()?.unbind())
+}
+
+/// Adds the exception types to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let py = module.py();
+    let root = FUSE_ERROR.get_or_try_init(py, || {
+        new_type(
+            py,
+            "FuseError",
+            "Root of every error that FUSE raises.",
+            PyTuple::new(py, [py.get_type::<PyException>()])?,
+        )
+    })?;
+    let input = INPUT_ERROR.get_or_try_init(py, || {
+        let bases = PyTuple::new(py, [root.bind(py).clone(), py.get_type::<PyValueError>()])?;
+        new_type(py, "InputError", "An argument or a file is not what was expected; the message names it.", bases)
+    })?;
+    module.add("FuseError", root)?;
+    module.add("InputError", input)
+}
+
+/// An `InputError` with this message.
+pub fn input(message: impl Into<String>) -> PyErr {
+    Python::attach(|py| match INPUT_ERROR.get(py) {
+        Some(t) => PyErr::from_type(t.bind(py).clone(), message.into()),
+        None => PyValueError::new_err(message.into()),
+    })
+}

@@ -1,0 +1,1 @@
+"""Active functional affordance grounding."""
