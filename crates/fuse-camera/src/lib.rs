@@ -1,16 +1,18 @@
 //! What every other FUSE crate shares, and nothing more: a pinhole camera, its pose, image
-//! buffers and the SIMD level of the machine.
+//! buffers, the sensing actions and the SIMD level of the machine.
 //!
 //! Frames: the world is right-handed, z up, in metres. The camera is that of COLMAP and
 //! OpenCV: x right, y down, z forward. Pixel `(i, j)` (column, row) covers
 //! `[i, i + 1) × [j, j + 1)`, its centre is at `(i + 0.5, j + 0.5)`, as in COLMAP.
 
 mod buffer;
+mod motion;
 mod pinhole;
 mod pose;
 pub mod simd;
 
 pub use buffer::{Buffer, BufferError, DepthBuffer, IdBuffer, RgbBuffer};
+pub use motion::{ACTION_COUNT, Action};
 pub use pinhole::{Pinhole, PinholeError};
 pub use pose::Pose;
 
