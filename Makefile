@@ -26,7 +26,8 @@ $(VENV)/.installed: $(BIN)/python $(NATIVE)
 
 # One whole episode, from the query to the grounded object.
 demo: install
-	$(BIN)/fuse run "cut a piece of rope" --method explicit --seed 7 --out $(DEMO_OUT) --force
+	rm -rf $(DEMO_OUT)
+	$(BIN)/fuse run "cut a piece of rope" --method explicit --seed 7 --out $(DEMO_OUT)
 
 lint: install
 	cargo fmt --all --check
