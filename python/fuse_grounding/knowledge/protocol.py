@@ -1,0 +1,70 @@
+"""What turns a functional query into candidate labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Query:
+    """A query in words and the verb it was understood as, with the words that decided."""
+
+    text: str
+    verb: str
+    because: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A label that may serve the verb: `score` in [0, 1], `reason` for people."""
+
+    label: str
+    score: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Candidates, best first, and what a reader must know about how they came about."""
+
+    source: str
+    candidates: tuple[Candidate, ...]
+    announcements: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the candidates, best first."""
+        return tuple(c.label for c in self.candidates)
+
+
+class Confidant(Protocol):
+    """A world that tells an oracle source, asked openly, which label the episode is about."""
+
+    def oracle_target(self) -> str:
+        """Label of the episode's target."""
+        ...
+
+    def oracle_valid(self) -> Sequence[str]:
+        """Labels of every valid object in the scene, sorted."""
+        ...
+
+
+class KnowledgeSource(Protocol):
+    """Proposes candidates for a verb."""
+
+    @property
+    def name(self) -> str:
+        """The name it is registered under."""
+        ...
+
+    def hypotheses(
+        self, query: Query, vocabulary: Sequence[str] | None, world: Confidant | None
+    ) -> Hypotheses:
+        """At most the configured number of candidates out of `vocabulary` (None: anything goes).
+
+        `world` is there for sources that ask it openly; others do not touch it. Raises InputError
+        when nothing is found.
+        """
+        ...
