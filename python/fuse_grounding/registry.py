@@ -1,4 +1,4 @@
-"""Named variants: a variant is a file plus a registration; collisions raise, unknown names get a suggestion."""
+"""Named variants: a variant is a file plus a registration; collisions raise, near names are suggested."""
 
 from __future__ import annotations
 

@@ -53,22 +53,18 @@ def validity(path: Path = PATH) -> dict[str, dict[str, bool]]:
     except FileNotFoundError:
         raise InputError(f"validity table {path} does not exist") from None
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"validity table {path} is not {{verb: {{category: {{valid}}}}}}: {error!r}"
-        ) from None
+        raise InputError(f"validity table {path} is not verb -> category -> valid: {error!r}") from None
 
 
 def judge(source: KnowledgeSource, table: Mapping[str, Mapping[str, bool]]) -> list[Judgement]:
     """Precision and recall of a source for every verb of the table, over the table's categories."""
     graph = shipped()
-    return [_judge_verb(source, verb, row, row.keys()) for verb, row in table.items() if verb in graph.verbs]
+    return [_judge_verb(source, verb, row) for verb, row in table.items() if verb in graph.verbs]
 
 
-def _judge_verb(
-    source: KnowledgeSource, verb: str, row: Mapping[str, bool], vocabulary: Sequence[str]
-) -> Judgement:
+def _judge_verb(source: KnowledgeSource, verb: str, row: Mapping[str, bool]) -> Judgement:
     try:
-        proposed = source.hypotheses(Query(verb, verb, verb), tuple(vocabulary), None).labels
+        proposed = source.hypotheses(Query(verb, verb, verb), tuple(row), None).labels
     except InputError:
         proposed = ()  # the source has nothing to propose: recall pays for it
     right = tuple(x for x in proposed if row.get(x, False))

@@ -17,16 +17,17 @@ from fuse_grounding.registry import unknown
 
 _EMPTY = frozenset(
     "a an the some any this that these those my your our something anything thing things to with for "
-    "of i we you need want please find get bring me us can could would will object tool item piece".split()
+    "of i we you need want please find get bring me us can could would will object tool item piece".split()  # noqa: SIM905
 )
 _IRREGULAR = {
     "wrote": "write", "written": "write", "drank": "drink", "drunk": "drink", "beaten": "beat",
-    "struck": "strike", "drove": "drive", "driven": "drive", "drawn": "draw", "drew": "draw", "shone": "shine",
+    "struck": "strike", "drove": "drive", "driven": "drive", "drawn": "draw", "drew": "draw",
+    "shone": "shine",
 }  # fmt: skip
 
 
 def base_forms(word: str) -> frozenset[str]:
-    """A word and what it may be an inflection of: -s, -es, -ies, -ed, -ing, with doubled or dropped letters."""
+    """A word and what it may be inflected from: -s, -es, -ies, -ed, -ing, doubled or dropped letters."""
     forms = {word, _IRREGULAR.get(word, word)}
     if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
         forms |= {word[:-1], word.removesuffix("es"), re.sub("ies$", "y", word)}
