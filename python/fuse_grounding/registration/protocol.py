@@ -10,6 +10,12 @@ import numpy as np
 
 from fuse_grounding._core import Camera
 from fuse_grounding.environment.protocol import Observation
+from fuse_grounding.errors import FuseError
+
+
+class RegistrationError(FuseError):
+    """A view could not be placed, and its known pose is missing or may not be used."""
+
 
 RegistrationStatus = Literal["colmap", "posed", "posed_fallback"]
 
