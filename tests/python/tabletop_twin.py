@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
 from fuse_grounding._core import Camera
+
 from fuse_grounding.environment.protocol import Observation
 
 WIDTH, HEIGHT = 640, 480
@@ -50,7 +50,7 @@ def _box(rng: np.random.Generator, low: np.ndarray, size: np.ndarray, angle: flo
     )
     sides = [(low, x, z), (low + x, y, z), (low + x + y, -x, z), (low + y, -y, z), (low + z, x, y)]
     return [
-        Face(corner, u, v, noise(rng, (np.linalg.norm(u), np.linalg.norm(v)), 0.008, 16.0))
+        Face(corner, u, v, noise(rng, (float(np.linalg.norm(u)), float(np.linalg.norm(v))), 0.012, 16.0))
         for corner, u, v in sides
     ]
 
@@ -65,12 +65,12 @@ def scene(seed: int = 0, contrast: float = 14.0, boxes: int = 6) -> list[Face]:
         return Face(np.array(corner, float), *sides, noise(rng, lengths, cell, contrast))
 
     faces = [
-        plane([-0.6, -0.6, 0.75], [1.2, 0, 0], [0, 1.2, 0], 0.01),
-        plane([-2.5, -2.5, 0], [5, 0, 0], [0, 5, 0], 0.04),
-        plane([-2.5, -2.5, 0], [5, 0, 0], [0, 0, 3], 0.04),
-        plane([-2.5, 2.5, 0], [5, 0, 0], [0, 0, 3], 0.04),
-        plane([-2.5, -2.5, 0], [0, 5, 0], [0, 0, 3], 0.04),
-        plane([2.5, -2.5, 0], [0, 5, 0], [0, 0, 3], 0.04),
+        plane([-0.6, -0.6, 0.75], [1.2, 0, 0], [0, 1.2, 0], 0.02),
+        plane([-2.5, -2.5, 0], [5, 0, 0], [0, 5, 0], 0.08),
+        plane([-2.5, -2.5, 0], [5, 0, 0], [0, 0, 3], 0.08),
+        plane([-2.5, 2.5, 0], [5, 0, 0], [0, 0, 3], 0.08),
+        plane([-2.5, -2.5, 0], [0, 5, 0], [0, 0, 3], 0.08),
+        plane([2.5, -2.5, 0], [0, 5, 0], [0, 0, 3], 0.08),
     ]
     for index in range(boxes):
         angle = 2 * np.pi * index / boxes

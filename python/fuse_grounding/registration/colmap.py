@@ -109,6 +109,7 @@ class ColmapRegistrar:
         self._posed: PosedRegistrar | None = None
         self._world: Similarity | None = None
         self._colours: dict[int, np.ndarray] = {}
+        self._point_colours: dict[int, np.ndarray] = {}
         self._registered = 0
         self._seed_count = len(seeds)
         ids = self._correspondences.add_seeds(seeds)
@@ -186,9 +187,11 @@ class ColmapRegistrar:
         for row, point_id in enumerate(ids):
             point = model.point3D(point_id)
             xyz[row] = point.xyz
-            seen = [self._colours[e.image_id][e.point2D_idx] for e in point.track.elements]
-            rgb[row] = np.mean(seen, axis=0)
-        return np.array(ids, np.int64), self._world.points(xyz), np.rint(rgb).astype(np.uint8)
+            if point_id not in self._point_colours:
+                seen = [self._colours[e.image_id][e.point2D_idx] for e in point.track.elements]
+                self._point_colours[point_id] = np.rint(np.mean(seen, axis=0))
+            rgb[row] = self._point_colours[point_id]
+        return np.array(ids, np.int64), self._world.points(xyz), rgb.astype(np.uint8)
 
     def _new_correspondences(self, camera: Camera) -> Correspondences:
         if self._profile == "paper":

@@ -22,6 +22,7 @@ PITCH_WEIGHT = 0.5
 """Ring nodes that one step of pitch counts for: turning on the spot changes the picture less than moving."""
 
 _NORM = 512.0
+_NO_MATRIX = np.zeros((0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -65,24 +66,28 @@ def match(first: Features, second: Features) -> np.ndarray:
     """Mutual nearest neighbours (M, 2) uint32 by angle, with the ratio and distance tests both ways."""
     if len(first.keypoints) < 2 or len(second.keypoints) < 2:
         return np.zeros((0, 2), np.uint32)
-    cosines = (first.descriptors @ second.descriptors.T) / (_NORM * _NORM)
-    forward, forward_good = _nearest(cosines)
-    backward, backward_good = _nearest(cosines.T)
-    rows = np.arange(len(forward))
-    good = forward_good & backward_good[forward] & (backward[forward] == rows)
-    return np.stack([rows[good], forward[good]], axis=1).astype(np.uint32)
+    with _one_opencv_thread():
+        products = np.asarray(
+            cv2.gemm(first.descriptors, second.descriptors, 1.0, _NO_MATRIX, 0.0, flags=cv2.GEMM_2_T)
+        )
+    forward, good = _nearest(products)
+    rows = np.flatnonzero(good)
+    # Only the columns that some row chose can be mutual.
+    backward, good = _nearest(np.ascontiguousarray(products[:, forward[rows]].T))
+    rows = rows[good & (backward == rows)]
+    return np.stack([rows, forward[rows]], axis=1).astype(np.uint32)
 
 
-def _nearest(cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _nearest(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Per row the best column, and whether it passes the distance and ratio tests."""
-    best = np.argmax(cosines, axis=1)
+    best = np.argmax(products, axis=1)
     rows = np.arange(len(best))
-    top = cosines[rows, best]
-    rest = cosines.copy()
-    rest[rows, best] = -1.0
-    angle = np.arccos(np.minimum(top, 1.0))
-    second = np.arccos(np.minimum(rest.max(axis=1), 1.0))
-    return best, (angle <= MAX_ANGLE) & (angle < RATIO * second)
+    top = products[rows, best]
+    products[rows, best] = -1.0
+    second = products.max(axis=1)
+    products[rows, best] = top
+    angle, next_angle = (np.arccos(np.minimum(p / (_NORM * _NORM), 1.0)) for p in (top, second))
+    return best, (angle <= MAX_ANGLE) & (angle < RATIO * next_angle)
 
 
 def nearest_views(view: Observation, earlier: Sequence[Observation], count: int) -> list[int]:

@@ -12,6 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 
+_COINCIDENT = 1e-20
+"""Squared spread over squared distance from the origin below which centres differ by rounding alone."""
+
+
 @dataclass(frozen=True)
 class Similarity:
     """`x_world = scale * rotation @ x_map + translation`; float64, rotation (3, 3), translation (3,)."""
@@ -61,7 +65,8 @@ def fit_similarity(
     turned = (map_centres - map_mean) @ rotation.T
     spread = float(np.sum(turned**2))
     agreement = float(np.sum((world_centres - world_mean) * turned))
-    if not (np.isfinite(agreement) and spread > 0.0 and agreement > 0.0):
+    rounding = _COINCIDENT * float(np.sum(map_centres**2))
+    if not (np.isfinite(agreement) and spread > rounding and agreement > 0.0):
         raise ValueError("the camera centres fix no positive scale between the two frames")
     scale = agreement / spread
     return Similarity(scale, rotation, world_mean - scale * rotation @ map_mean)
