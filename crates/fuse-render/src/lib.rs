@@ -1,6 +1,37 @@
 //! Observations of a tabletop scene: colour, exact metric depth and instance ids, on the CPU,
 //! bit-identical for any number of threads.
 
+mod cpu;
+mod glb;
+mod gltf;
+mod light;
 mod model;
+mod obj;
+mod scene;
 
+use std::path::Path;
+
+pub use cpu::Renderer;
+pub use glb::{save_glb, to_glb};
+pub use gltf::{from_glb, load_gltf};
+pub use light::{Light, SoftBox};
 pub use model::{Material, Mesh, Model, ModelError, Texture};
+pub use obj::load_obj;
+pub use scene::{Amodal, Frame, Instance, RenderOptions, Scene, SceneError};
+
+/// Reads a model file by its extension: `.glb`, `.gltf` or `.obj`.
+///
+/// # Errors
+/// [`ModelError`] that names the file and what is wrong with it.
+pub fn load(path: impl AsRef<Path>) -> Result<Model, ModelError> {
+    let path = path.as_ref();
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    match extension.as_deref() {
+        Some("glb" | "gltf") => load_gltf(path),
+        Some("obj") => load_obj(path),
+        _ => Err(ModelError::Invalid {
+            path: path.display().to_string(),
+            reason: "its name must end in .glb, .gltf or .obj".into(),
+        }),
+    }
+}

@@ -87,4 +87,113 @@ impl Model {
         let first = points.next()?;
         Some(points.fold((first, first), |(lo, hi), p| (lo.min(p), hi.max(p))))
     }
+
+    /// Number of triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.meshes.iter().map(|m| m.triangles.len()).sum()
+    }
+
+    /// Checks that lengths agree, indices are in range and numbers are finite.
+    ///
+    /// # Errors
+    /// What was found and what was expected, in words.
+    pub fn check(&self) -> Result<(), String> {
+        for (i, material) in self.materials.iter().enumerate() {
+            let numbers = material.base_color.iter().chain([&material.metallic, &material.roughness]);
+            if !numbers.into_iter().all(|v| v.is_finite()) {
+                return Err(format!("material {i} ({}) has a number that is not finite", material.name));
+            }
+            if let Some(t) = &material.base_color_texture {
+                let expected = t.width as usize * t.height as usize;
+                if expected == 0 || t.texels.len() != expected {
+                    return Err(format!(
+                        "the texture of material {i} ({}) is {}x{} but holds {} texels",
+                        material.name,
+                        t.width,
+                        t.height,
+                        t.texels.len()
+                    ));
+                }
+            }
+        }
+        self.meshes.iter().enumerate().try_for_each(|(i, mesh)| self.check_mesh(i, mesh))
+    }
+
+    fn check_mesh(&self, i: usize, mesh: &Mesh) -> Result<(), String> {
+        let n = mesh.positions.len();
+        if mesh.normals.len() != n || mesh.uvs.len() != n {
+            return Err(format!(
+                "mesh {i} has {n} positions, {} normals, {} texture coordinates; expected as many of each",
+                mesh.normals.len(),
+                mesh.uvs.len()
+            ));
+        }
+        if mesh.material >= self.materials.len() {
+            return Err(format!(
+                "mesh {i} uses material {}, but there are {}",
+                mesh.material,
+                self.materials.len()
+            ));
+        }
+        if let Some(t) = mesh.triangles.iter().find(|t| t.iter().any(|&v| v as usize >= n)) {
+            return Err(format!("mesh {i} has a triangle {t:?}, but only {n} vertices"));
+        }
+        if let Some(v) = mesh.positions.iter().position(|p| !p.is_finite()) {
+            return Err(format!("mesh {i}, vertex {v}: position {} is not finite", mesh.positions[v]));
+        }
+        if let Some(v) = mesh.normals.iter().position(|p| !p.is_finite()) {
+            return Err(format!("mesh {i}, vertex {v}: normal {} is not finite", mesh.normals[v]));
+        }
+        if let Some(v) = mesh.uvs.iter().position(|p| !p.is_finite()) {
+            return Err(format!("mesh {i}, vertex {v}: texture coordinate {} is not finite", mesh.uvs[v]));
+        }
+        Ok(())
+    }
+}
+
+impl Default for Material {
+    /// glTF's default: white, but rough and dielectric.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            base_color: [1.0; 4],
+            base_color_texture: None,
+            metallic: 0.0,
+            roughness: 1.0,
+            double_sided: false,
+        }
+    }
+}
+
+/// Longest side of a texture file, texels.
+pub(crate) const MAX_TEXTURE_SIDE: u32 = 8192;
+
+/// Decodes PNG or JPEG bytes.
+pub(crate) fn decode_texture(bytes: &[u8]) -> Result<Texture, String> {
+    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| format!("cannot be read: {e}"))?;
+    let mut limits = image::Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(MAX_TEXTURE_SIDE), Some(MAX_TEXTURE_SIDE));
+    reader.limits(limits);
+    let image = reader.decode().map_err(|e| match e {
+        image::ImageError::Limits(_) => format!("is larger than {MAX_TEXTURE_SIDE}x{MAX_TEXTURE_SIDE} texels"),
+        e => format!("is neither a sound PNG nor a JPEG: {e}"),
+    })?;
+    let image = image.into_rgba8();
+    let (width, height) = image.dimensions();
+    Ok(Texture { width, height, texels: image.into_raw().as_chunks().0.to_vec() })
+}
+
+/// Area-weighted vertex normals.
+pub(crate) fn smooth_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; positions.len()];
+    for t in triangles {
+        let [a, b, c] = t.map(|i| positions[i as usize]);
+        let n = (b - a).cross(c - a);
+        for &i in t {
+            normals[i as usize] += n;
+        }
+    }
+    normals.into_iter().map(|n| n.normalize_or(Vec3::Z)).collect()
 }

@@ -1,0 +1,273 @@
+//! The renderer: stage order.
+//!
+//! transform → bin → for each tile: raster → shade. What does not depend on the camera (mip
+//! chains, shadow maps, ambient occlusion) is made once in [`Renderer::new`].
+
+mod geometry;
+mod raster;
+mod shade;
+mod texture;
+mod transform;
+
+use fuse_camera::{Buffer, Camera, DepthBuffer, IdBuffer};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
+use geometry::Geometry;
+use raster::{LANES, Mask, SAMPLES, TILE_HEIGHT, TILE_WIDTH, Tile};
+use shade::Shading;
+use transform::{Sampling, Setup, View};
+
+/// A scene, ready to be seen from any camera.
+///
+/// Frames are bit-identical for any number of threads and any SIMD level.
+pub struct Renderer {
+    geometry: Geometry,
+    shading: Shading,
+    background: Vec3,
+    near: f32,
+    /// Nonzero instance ids, ascending.
+    ids: Vec<u32>,
+}
+
+/// Setups of one view and the tiles they touch.
+struct Binned {
+    setups: Vec<Setup>,
+    /// Setup indices by tile, and where each tile's begin.
+    order: Vec<u32>,
+    starts: Vec<usize>,
+    tiles_x: usize,
+}
+
+impl Binned {
+    fn new(view: &View, setups: Vec<Setup>) -> Self {
+        let tiles_x = (view.width as usize).div_ceil(TILE_WIDTH);
+        let tiles_y = (view.height as usize).div_ceil(TILE_HEIGHT);
+        let touched = |s: &Setup| {
+            let (x0, x1) = (s.x0 as usize / TILE_WIDTH, s.x1 as usize / TILE_WIDTH);
+            let (y0, y1) = (s.y0 as usize / TILE_HEIGHT, s.y1 as usize / TILE_HEIGHT);
+            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * tiles_x + x))
+        };
+        let mut starts = vec![0usize; tiles_x * tiles_y + 1];
+        for t in setups.iter().flat_map(touched) {
+            starts[t + 1] += 1;
+        }
+        for t in 0..tiles_x * tiles_y {
+            starts[t + 1] += starts[t];
+        }
+        let mut next = starts.clone();
+        let mut order = vec![0u32; starts[tiles_x * tiles_y]];
+        for (i, s) in setups.iter().enumerate() {
+            for t in touched(s) {
+                order[next[t]] = i as u32;
+                next[t] += 1;
+            }
+        }
+        Self { setups, order, starts, tiles_x }
+    }
+
+    fn tile(&self, x: usize, y: usize) -> &[u32] {
+        let t = y * self.tiles_x + x;
+        &self.order[self.starts[t]..self.starts[t + 1]]
+    }
+}
+
+impl Renderer {
+    /// Prepares a scene.
+    ///
+    /// # Errors
+    /// [`SceneError`] for an inconsistent model, a singular transform, or an option or light
+    /// value out of range.
+    pub fn new(scene: Scene, options: &RenderOptions) -> Result<Self, SceneError> {
+        check(&scene, options)?;
+        let geometry = Geometry::new(&scene)?;
+        let mut ids: Vec<u32> = scene.instances.iter().map(|i| i.id).filter(|&id| id != 0).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        let shading = Shading::new(&scene.light);
+        Ok(Self { geometry, shading, background: scene.background, near: options.near, ids })
+    }
+
+    /// Nonzero instance ids, ascending.
+    pub fn ids(&self) -> &[u32] {
+        &self.ids
+    }
+
+    /// Colour, depth and ids.
+    pub fn render(&self, camera: &Camera) -> Frame {
+        let view = View::new(camera, self.near);
+        let vertices = view.vertices(&self.geometry);
+        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Area));
+        let center = camera.pose.center();
+        let eye = Vec3::new(center.x as f32, center.y as f32, center.z as f32);
+        let (w, h) = (view.width, view.height);
+        let mut frame = Frame {
+            rgb: Buffer::filled(w, h, [0; 3]),
+            depth: Buffer::filled(w, h, 0.0),
+            instance: Buffer::filled(w, h, 0),
+        };
+        let band = TILE_HEIGHT * w as usize;
+        frame
+            .rgb
+            .as_mut_slice()
+            .par_chunks_mut(band)
+            .zip(frame.depth.as_mut_slice().par_chunks_mut(band))
+            .zip(frame.instance.as_mut_slice().par_chunks_mut(band))
+            .enumerate()
+            .for_each_init(
+                || Tile::new(&view, LANES),
+                |tile, (ty, ((rgb, depth), ids))| {
+                    for tx in 0..binned.tiles_x {
+                        tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
+                        for &s in binned.tile(tx, ty) {
+                            tile.draw_area(&binned.setups[s as usize], s + 1);
+                        }
+                        let columns = tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w as usize);
+                        for row in 0..rgb.len() / w as usize {
+                            let y = ty * TILE_HEIGHT + row;
+                            for x in columns.clone() {
+                                let samples = tile.samples(x, y);
+                                let at = row * w as usize + x;
+                                (depth[at], ids[at]) = self.center(&binned, samples[0], x, y);
+                                rgb[at] = self.shading.encode.encode(self.pixel(&binned, samples, x, y, eye));
+                            }
+                        }
+                    }
+                },
+            );
+        frame
+    }
+
+    /// Depth and ids without shading; equal to those of [`Renderer::render`].
+    pub fn depth_ids(&self, camera: &Camera) -> (DepthBuffer, IdBuffer) {
+        let view = View::new(camera, self.near);
+        let vertices = view.vertices(&self.geometry);
+        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Center));
+        self.centers(&view, &binned)
+    }
+
+    fn centers(&self, view: &View, binned: &Binned) -> (DepthBuffer, IdBuffer) {
+        let w = view.width as usize;
+        let mut depth = Buffer::filled(view.width, view.height, 0.0);
+        let mut ids = Buffer::filled(view.width, view.height, 0);
+        let band = TILE_HEIGHT * w;
+        depth
+            .as_mut_slice()
+            .par_chunks_mut(band)
+            .zip(ids.as_mut_slice().par_chunks_mut(band))
+            .enumerate()
+            .for_each_init(
+                || Tile::new(view, 1),
+                |tile, (ty, (depth, ids))| {
+                    for tx in 0..binned.tiles_x {
+                        tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
+                        for &s in binned.tile(tx, ty) {
+                            tile.draw_centers(&binned.setups[s as usize], s + 1);
+                        }
+                        for row in 0..depth.len() / w {
+                            let y = ty * TILE_HEIGHT + row;
+                            for x in tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w) {
+                                let at = row * w + x;
+                                (depth[at], ids[at]) = self.center(binned, tile.center(x, y), x, y);
+                            }
+                        }
+                    }
+                },
+            );
+        (depth, ids)
+    }
+
+    /// Visible and unoccluded pixels of one id; zeros when the scene has no such id.
+    pub fn amodal(&self, camera: &Camera, id: u32) -> Amodal {
+        let all = self.amodal_all(camera);
+        all.iter().find(|a| a.id == id).copied().unwrap_or(Amodal { id, ..Amodal::default() })
+    }
+
+    /// Visible and unoccluded pixels of every nonzero id, ascending by id.
+    pub fn amodal_all(&self, camera: &Camera) -> Vec<Amodal> {
+        let view = View::new(camera, self.near);
+        let vertices = view.vertices(&self.geometry);
+        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Center));
+        let (_, visible) = self.centers(&view, &binned);
+        let mut counts: Vec<Amodal> = self.ids.iter().map(|&id| Amodal { id, ..Amodal::default() }).collect();
+        for id in visible.as_slice() {
+            if let Ok(k) = self.ids.binary_search(id) {
+                counts[k].visible_px += 1;
+            }
+        }
+        counts.par_iter_mut().for_each(|count| {
+            let mut mask = Mask::new(&view);
+            for setup in binned.setups.iter().filter(|s| self.id(s) == count.id) {
+                mask.draw(setup);
+            }
+            count.unoccluded_px = mask.count();
+        });
+        counts
+    }
+
+    fn id(&self, setup: &Setup) -> u32 {
+        let part = self.geometry.triangle_part[setup.triangle as usize];
+        self.geometry.parts[part as usize].id
+    }
+
+    /// Depth and id of a pixel from the key of its centre sample.
+    #[inline]
+    fn center(&self, binned: &Binned, key: u32, x: usize, y: usize) -> (f32, u32) {
+        let Some(index) = key.checked_sub(1) else { return (0.0, 0) };
+        let setup = &binned.setups[index as usize];
+        (setup.depth(x as f64 + 0.5, y as f64 + 0.5), self.id(setup))
+    }
+
+    /// Display-linear colour of a pixel: each triangle in it is shaded once, at the mean of the
+    /// samples it covers, and weighted with their number.
+    fn pixel(&self, binned: &Binned, samples: &[u32; LANES], x: usize, y: usize, eye: Vec3) -> Vec3 {
+        let (cx, cy) = (x as f64 + 0.5, y as f64 + 0.5);
+        let shade = |key: u32, dx: f32, dy: f32| match key.checked_sub(1) {
+            None => self.shading.background(self.background),
+            Some(i) => {
+                let setup = &binned.setups[i as usize];
+                self.shading.color(&self.geometry, setup, cx + f64::from(dx), cy + f64::from(dy), eye)
+            }
+        };
+        if samples.iter().all(|&s| s == samples[0]) {
+            return shade(samples[0], 0.0, 0.0);
+        }
+        let mut sum = Vec3::ZERO;
+        for (i, &key) in samples.iter().enumerate() {
+            if samples[..i].contains(&key) {
+                continue;
+            }
+            let (mut n, mut dx, mut dy) = (0.0, 0.0, 0.0);
+            for (s, _) in samples.iter().enumerate().filter(|(_, k)| **k == key) {
+                n += 1.0;
+                dx += SAMPLES[s][0];
+                dy += SAMPLES[s][1];
+            }
+            sum += shade(key, dx / n, dy / n) * n;
+        }
+        sum / LANES as f32
+    }
+}
+
+fn check(scene: &Scene, options: &RenderOptions) -> Result<(), SceneError> {
+    let value = |name, expected, ok: bool, found: String| {
+        if ok { Ok(()) } else { Err(SceneError::Value { name, expected, found }) }
+    };
+    let (o, l) = (options, &scene.light);
+    value("near", "positive and finite", o.near > 0.0 && o.near.is_finite(), o.near.to_string())?;
+    let r = o.shadow_resolution;
+    value("shadow_resolution", "64 to 8192", (64..=8192).contains(&r), r.to_string())?;
+    value("light.position", "finite", l.position.is_finite(), l.position.to_string())?;
+    value("light.radius", "finite, at least 0", l.radius >= 0.0 && l.radius.is_finite(), l.radius.to_string())?;
+    value("light.exposure", "positive and finite", l.exposure > 0.0 && l.exposure.is_finite(), l.exposure.to_string())?;
+    let colors = [("light.intensity", l.intensity), ("light.sky", l.sky), ("light.ground", l.ground)];
+    for (name, c) in colors.into_iter().chain([("background", scene.background)]) {
+        value(name, "finite, at least 0", c.is_finite() && c.min_element() >= 0.0, c.to_string())?;
+    }
+    for b in &l.soft_boxes {
+        let ok = b.direction.is_finite() && b.color.is_finite() && b.color.min_element() >= 0.0 && b.sharpness >= 0.0;
+        value("light.soft_boxes", "finite, colour and sharpness at least 0", ok, format!("{b:?}"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! Vertices to pixel space, triangles to edge functions.
+//!
+//! With `P = K · x_camera` (pixel-homogeneous coordinates) a pixel's ray is `d = (u, v, 1)`, and
+//! `d` hits the triangle in front of the camera exactly where the three edge functions
+//! `E_i(u, v) = ± (P_j × P_k) · d` are all non-negative (Olano and Greer, "Triangle scan
+//! conversion using 2D homogeneous coordinates", 1997). No clipping is needed: a triangle that
+//! crosses the camera plane needs care in its bounding box only. `P_j × P_k` is exactly the
+//! negative of `P_k × P_j` in floating point, so neighbours never leave a gap.
+//!
+//! `1 / z = Σ E_i / det`, linear in `(u, v)`.
+
+use fuse_camera::Camera;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::geometry::Geometry;
+
+/// Triangles that one task sets up.
+const CHUNK: usize = 2048;
+
+/// A triangle that may cover pixels `x0..=x1`, `y0..=y1`.
+#[derive(Clone, Copy)]
+pub(super) struct Setup {
+    /// Rows `(A, B, C)`: `E_i = A u + B v + C`; barycentric weights up to their common sum.
+    pub edges: [DVec3; 3],
+    /// `1 / z = inverse_depth · (u, v, 1)`.
+    pub inverse_depth: DVec3,
+    pub x0: u16,
+    pub x1: u16,
+    pub y0: u16,
+    pub y1: u16,
+    /// Index into [`Geometry::triangles`].
+    pub triangle: u32,
+}
+
+/// Where samples lie within pixels: decides which small triangles can be dropped.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sampling {
+    /// Anywhere in the pixel.
+    Area,
+    /// At the pixel centre only.
+    Center,
+}
+
+/// What maps the world to pixels.
+pub(super) struct View {
+    /// `K · R`, `K · t`.
+    matrix: DMat3,
+    offset: DVec3,
+    pub width: u32,
+    pub height: u32,
+    pub near: f64,
+}
+
+impl View {
+    pub fn new(camera: &Camera, near: f32) -> Self {
+        let k = &camera.intrinsics;
+        let r = camera.pose.rotation.to_rotation_matrix();
+        let r = DMat3::from_cols_array_2d(&std::array::from_fn(|c| std::array::from_fn(|row| r[(row, c)])));
+        let t = &camera.pose.translation;
+        let k_matrix = DMat3::from_cols(
+            DVec3::new(k.fx, 0.0, 0.0),
+            DVec3::new(0.0, k.fy, 0.0),
+            DVec3::new(k.cx, k.cy, 1.0),
+        );
+        Self {
+            matrix: k_matrix * r,
+            offset: k_matrix * DVec3::new(t.x, t.y, t.z),
+            width: k.width,
+            height: k.height,
+            near: f64::from(near),
+        }
+    }
+
+    /// Pixel-homogeneous coordinates of every vertex.
+    pub fn vertices(&self, geometry: &Geometry) -> Vec<DVec3> {
+        geometry
+            .positions
+            .par_iter()
+            .with_min_len(CHUNK)
+            .map(|p| self.matrix * p.as_dvec3() + self.offset)
+            .collect()
+    }
+
+    /// The triangles that face the camera (or are double-sided) and may cover a sample, in order.
+    pub fn setups(&self, geometry: &Geometry, vertices: &[DVec3], sampling: Sampling) -> Vec<Setup> {
+        let chunks: Vec<Vec<Setup>> = geometry
+            .triangles
+            .par_chunks(CHUNK)
+            .enumerate()
+            .map(|(chunk, triangles)| {
+                let first = chunk * CHUNK;
+                let mut out = Vec::with_capacity(triangles.len() / 2);
+                for (k, t) in triangles.iter().enumerate() {
+                    let p = t.map(|v| vertices[v as usize]);
+                    let part = geometry.triangle_part[first + k] as usize;
+                    let double_sided = geometry.parts[part].double_sided;
+                    out.extend(self.setup(p, (first + k) as u32, double_sided, sampling));
+                }
+                out
+            })
+            .collect();
+        chunks.concat()
+    }
+
+    fn setup(&self, p: [DVec3; 3], triangle: u32, double_sided: bool, sampling: Sampling) -> Option<Setup> {
+        let (x0, x1, y0, y1) = self.pixel_bounds(&p, sampling)?;
+        let n = [p[1].cross(p[2]), p[2].cross(p[0]), p[0].cross(p[1])];
+        let det = p[0].dot(n[0]);
+        // Counter-clockwise seen from outside faces the camera when det < 0 (y is down).
+        if det == 0.0 || !det.is_finite() || (det > 0.0 && !double_sided) {
+            return None;
+        }
+        let edges = if det < 0.0 { n.map(|e| -e) } else { n };
+        let inverse_depth = (edges[0] + edges[1] + edges[2]) / det.abs();
+        Some(Setup { edges, inverse_depth, x0, x1, y0, y1, triangle })
+    }
+
+    /// Inclusive pixel bounds; `None` when no sample of the image can be covered.
+    fn pixel_bounds(&self, p: &[DVec3; 3], sampling: Sampling) -> Option<(u16, u16, u16, u16)> {
+        let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        let mut extend = |q: DVec3| {
+            let (u, v) = (q.x / q.z, q.y / q.z);
+            lo = [lo[0].min(u), lo[1].min(v)];
+            hi = [hi[0].max(u), hi[1].max(v)];
+        };
+        for i in 0..3 {
+            let (a, b) = (p[i], p[(i + 1) % 3]);
+            if a.z >= self.near {
+                extend(a);
+            }
+            if (a.z >= self.near) != (b.z >= self.near) {
+                extend(a + (b - a) * ((self.near - a.z) / (b.z - a.z)));
+            }
+        }
+        let shift = if sampling == Sampling::Center { 0.5 } else { 0.0 };
+        let range = |lo: f64, hi: f64, size: u32| -> Option<(u16, u16)> {
+            // A thousandth of a pixel covers the rounding of the projection.
+            let first = match sampling {
+                Sampling::Center => (lo - shift - 1e-3).ceil(),
+                Sampling::Area => (lo - 1e-3).floor(),
+            }
+            .max(0.0);
+            let last = (hi - shift + 1e-3).floor().min(f64::from(size) - 1.0);
+            (first <= last).then_some((first as u16, last as u16))
+        };
+        let (x0, x1) = range(lo[0], hi[0], self.width)?;
+        let (y0, y1) = range(lo[1], hi[1], self.height)?;
+        Some((x0, x1, y0, y1))
+    }
+}
+
+impl Setup {
+    /// Planar depth at continuous image coordinates, metres.
+    pub fn depth(&self, u: f64, v: f64) -> f32 {
+        (1.0 / self.inverse_depth.dot(DVec3::new(u, v, 1.0))) as f32
+    }
+}
