@@ -97,6 +97,8 @@ class SsnrConfig(Section):
     """Largest grey value; matters against epsilon = 1e-8 only. Not in the paper."""
     gradient: Literal["magnitude", "vector"] = "magnitude"
     """Difference of gradient magnitudes (supplement) or of gradient vectors (paper)."""
+    missing_db: Annotated[float, Field(ge=-30, le=30)] = 0.0
+    """SSNR where there is no rendering. Supplement: the SSNR map is set to zero."""
     render: Literal["after", "before"] = "after"
     """Whether the rendering is taken after or before this step's refinement. Algorithm 1: after."""
     float_render: bool = False

@@ -1,1 +1,1 @@
-
+"""Running methods over episodes, and judging what they return."""

@@ -15,10 +15,11 @@ from fuse_grounding.knowledge.affordances import Affordances
 from fuse_grounding.knowledge.protocol import Query
 from fuse_grounding.registry import unknown
 
-_EMPTY = frozenset(
+_EMPTY_WORDS = (
     "a an the some any this that these those my your our something anything thing things to with for "
-    "of i we you need want please find get bring me us can could would will object tool item piece".split()  # noqa: SIM905
+    "of i we you need want please find get bring me us can could would will object tool item piece"
 )
+_EMPTY = frozenset(_EMPTY_WORDS.split())
 _IRREGULAR = {
     "wrote": "write", "written": "write", "drank": "drink", "drunk": "drink", "beaten": "beat",
     "struck": "strike", "drove": "drive", "driven": "drive", "drawn": "draw", "drew": "draw",

@@ -1,0 +1,66 @@
+"""Puts an agent together from its configuration: the one place that names concrete parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from fuse_grounding import knowledge
+from fuse_grounding.benchmark.methods import resolve
+from fuse_grounding.benchmark.provenance import provenance
+from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
+from fuse_grounding.mapping import GaussianMap
+from fuse_grounding.parts import Parts, Spatial
+from fuse_grounding.perception.embedded import WEIGHTS, EmbeddedSegmenter
+from fuse_grounding.perception.protocol import Segmenter
+from fuse_grounding.planning.explicit import evidence_maps
+from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
+from fuse_grounding.registration.protocol import Registrar
+from fuse_grounding.registry import Registry
+
+SEGMENTERS: Registry[Callable[[SegmenterConfig], tuple[Segmenter, Path]]] = Registry("segmenter")
+"""By name: what makes it, with the file of its weights."""
+
+
+def _embedded(config: SegmenterConfig) -> tuple[Segmenter, Path]:
+    weights = config.weights or WEIGHTS
+    return EmbeddedSegmenter(weights), weights
+
+
+SEGMENTERS.add("embedded", _embedded)
+
+
+def make_registrar(config: RegistrationConfig) -> Registrar:
+    """A fresh registrar."""
+    if config.backend == "posed":
+        return PosedRegistrar()
+    return ColmapRegistrar(profile=config.profile, on_failure=config.on_failure)
+
+
+def assemble(config: Config) -> tuple[Parts, Config]:
+    """All parts of an agent, with the configuration as its method runs it.
+
+    Raises InputError for unknown names and missing or broken weights.
+    """
+    method, config = resolve(config)
+    source = knowledge.make(config.knowledge)
+    make_segmenter = SEGMENTERS.get(config.segmenter.name)
+    method.policy(config, 0)  # a method that cannot run says so before anything is loaded
+    segmenter, weights = make_segmenter(config.segmenter)
+
+    def spatial() -> Spatial | None:
+        if not method.maps:
+            return None
+        registrar = make_registrar(config.registration)
+        return Spatial(registrar, GaussianMap(registrar, config.map))
+
+    parts = Parts(
+        understand=knowledge.parse,
+        knowledge=source,
+        segmenter=segmenter,
+        policy=lambda episode: method.policy(config, episode),
+        spatial=spatial,
+        look=lambda situation, rendered: evidence_maps(situation, rendered, config),
+        provenance=provenance(segmenter=weights),
+    )
+    return parts, config

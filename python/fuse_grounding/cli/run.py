@@ -1,0 +1,78 @@
+"""`fuse run QUERY`: one whole episode, told step by step, with its record and pictures in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fuse_grounding import knowledge
+from fuse_grounding.agent import Agent
+from fuse_grounding.benchmark.metrics import evaluate
+from fuse_grounding.cli.console import Narrator, print_json
+from fuse_grounding.config import Config
+from fuse_grounding.environment import TabletopEnvironment, make_episode
+from fuse_grounding.runfolder import RunFolder, prepare
+
+
+def configure(path: Path | None, overrides: list[str], **choices: str | None) -> Config:
+    """The configuration file, then `--set`, then the named options. Raises InputError."""
+    named = [f"{key.replace('__', '.')}={value}" for key, value in choices.items() if value is not None]
+    return Config.load(path, [*overrides, *named])
+
+
+def next_folder(root: Path) -> Path:
+    """The first of root/001, root/002, ... that does not exist."""
+    number = 1
+    while (root / f"{number:03d}").exists():
+        number += 1
+    return root / f"{number:03d}"
+
+
+def command(
+    query: Annotated[str, typer.Argument(help='What it is for, such as "cut a piece of rope".')],
+    scene: Annotated[str | None, typer.Option(help="Scene configuration (fuse episodes lists them).")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
+    method: Annotated[str | None, typer.Option(help="How to search; default: fuse.")] = None,
+    segmenter: Annotated[str | None, typer.Option(help="What finds candidates; default: embedded.")] = None,
+    source: Annotated[
+        str | None, typer.Option("--knowledge", help="graph, oracle or direct; default: graph.")
+    ] = None,
+    registration: Annotated[str | None, typer.Option(help="colmap or posed; default: colmap.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file with settings.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting: section.key=value. Repeatable.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Empty or new folder; default: the next runs/NNN.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier run in --out.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON only.")] = False,
+) -> None:
+    """Run one episode: from a query in words to the grounded object."""
+    settings = configure(
+        config,
+        overrides or [],
+        method=method,
+        segmenter__name=segmenter,
+        knowledge__source=source,
+        registration__backend=registration,
+    )
+    verb = knowledge.parse(query).verb
+    agent = Agent(settings)
+    episode = make_episode(verb, scene, seed)
+    environment = TabletopEnvironment(episode)
+    folder = prepare(out or next_folder(Path("runs")), force)
+    narrator, files = Narrator(quiet=as_json), RunFolder(folder)
+    narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")
+    try:
+        grounded = agent.run(environment, query, watchers=[files, narrator])
+    finally:
+        narrator.close()
+    record = grounded.record
+    record.seed, record.scene, record.episode_id = episode.seed, episode.scene_id, episode.episode_id
+    assert record.result is not None
+    record.result.metrics = evaluate(grounded, environment, agent)
+    record.write(folder / "episode.json")
+    narrator.result(record.result, str(folder))
+    if as_json:
+        print_json({"out": str(folder), **record.model_dump(mode="json")})

@@ -1,0 +1,92 @@
+"""The Gaussian map as the agent uses it: starts from the seed views, grows with every refinement."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fuse_grounding import splat
+from fuse_grounding._core import Camera
+from fuse_grounding.config import MapConfig
+from fuse_grounding.planning.protocol import Rendering
+from fuse_grounding.record import MapEntry, Stopwatch
+from fuse_grounding.registration.protocol import Registrar
+
+MIN_POINTS = 8
+"""With fewer sparse points there is nothing to start from, and the map stays away."""
+
+
+class GaussianMap:
+    """Views wait until a refinement takes them in: amortised steps cost nothing here.
+
+    The order of views is the registrar's: seeds first, then the online views.
+    """
+
+    def __init__(self, registrar: Registrar, config: MapConfig):
+        self._registrar = registrar
+        self._config = config
+        self._pictures: list[np.ndarray] = []
+        self._trainer: splat.Trainer | None = None
+        self._seeds = 0
+        self._taken = 0
+        self._refinements = 0
+
+    def add_seed(self, rgb: np.ndarray) -> None:
+        """A seed view, in the registrar's order."""
+        self._seeds += 1
+        self._pictures.append(rgb)
+
+    def add(self, rgb: np.ndarray) -> None:
+        """The view that the registrar took in last."""
+        self._pictures.append(rgb)
+
+    def refine(self, clock: Stopwatch) -> None:
+        """`incremental_iterations` over all views, at their newest poses; first, once, the initial ones."""
+        cameras = [view.camera for view in self._registrar.views()]
+        if self._trainer is None:
+            with clock("initialize_map"):
+                self._trainer = self._start(cameras[: self._seeds])
+            if self._trainer is None:
+                return
+        with clock("refine"):
+            for index, camera in enumerate(cameras[: self._taken]):
+                self._trainer.set_camera(index, camera)
+            self._take(self._trainer, cameras)
+            self._trainer.refine(self._config.incremental_iterations)
+            self._refinements += 1
+
+    def render(self, camera: Camera) -> Rendering | None:
+        """The map's prediction; see `SpatialMap.render`."""
+        if self._trainer is None:
+            return None
+        image, alpha, _ = splat.render(self._trainer.gaussians, camera)
+        return Rendering(image, float(alpha.mean(dtype=np.float64)))
+
+    def entry(self) -> MapEntry | None:
+        """For the record; None while there is no map."""
+        if self._trainer is None:
+            return None
+        return MapEntry(
+            gaussians=len(self._trainer.gaussians), views=self._taken, refinements=self._refinements
+        )
+
+    def save(self, path: Path) -> None:
+        """Writes the Gaussians as PLY."""
+        if self._trainer is not None:
+            self._trainer.gaussians.save_ply(str(path))
+
+    def _start(self, cameras: list[Camera]) -> splat.Trainer | None:
+        points, colours = self._registrar.points()
+        if len(points) < MIN_POINTS:
+            return None
+        trainer = splat.Trainer(splat.Gaussians.from_points(points, colours), trainer_config(self._config))
+        self._take(trainer, cameras)
+        trainer.refine(self._config.initial_iterations)
+        return trainer
+
+    def _take(self, trainer: splat.Trainer, cameras: list[Camera]) -> None:
+        """Hands the trainer the views that it does not have yet."""
+        for index in range(self._taken, len(cameras)):
+            trainer.add_view(self._pictures[index], cameras[index])
+        self._taken = len(cameras)

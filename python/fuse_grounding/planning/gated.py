@@ -1,0 +1,52 @@
+"""The confidence gate (FUSE): trust the amortised planner where it is sure, explore explicitly elsewhere.
+
+    H = -1/log|A| sum_a p(a) log p(a),  p = softmax(values / temperature);  amortised iff H <= eta
+
+over the feasible actions A (supplement, "Confidence Gate").
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from fuse_grounding import evidence
+from fuse_grounding.config import GateConfig
+from fuse_grounding.planning.protocol import Decision, Planner, Policy, Situation
+from fuse_grounding.record import Stopwatch
+
+NO_PLANNER = "no amortised planner is loaded: every decision is explicit"
+
+
+class Gated:
+    """Amortised when the entropy is at most eta, explicit otherwise or without a planner."""
+
+    start: Literal["here"] = "here"
+
+    def __init__(self, planner: Planner | None, explicit: Policy, gate: GateConfig):
+        self._planner = planner
+        self._explicit = explicit
+        self._gate = gate
+
+    @property
+    def planner(self) -> str:
+        """The planner's name, `none` without one."""
+        return self._planner.name if self._planner is not None else "none"
+
+    def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
+        """The gate, then one of the branches; the map is refined only by the explicit one."""
+        if self._planner is None:
+            return replace(self._explicit.decide(situation, clock), reason=NO_PLANNER)
+        with clock("plan"):
+            predicted = np.asarray(self._planner.values(situation.rgb, situation.candidates), np.float32)
+            values = np.where(situation.feasible, predicted, np.nan)
+            entropy = evidence.action_entropy(
+                predicted, temperature=self._gate.temperature, feasible=situation.feasible
+            )
+        if entropy <= self._gate.eta:
+            reason = f"entropy {entropy:.3f} <= {self._gate.eta}"
+            return Decision(int(np.nanargmax(values)), "amortized", values, entropy, reason)
+        reason = f"entropy {entropy:.3f} > {self._gate.eta}"
+        return replace(self._explicit.decide(situation, clock), entropy=entropy, reason=reason)

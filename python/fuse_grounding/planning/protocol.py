@@ -1,0 +1,112 @@
+"""What chooses the next action, and what it may look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from fuse_grounding.knowledge.protocol import Candidate
+from fuse_grounding.perception.protocol import Detection
+from fuse_grounding.record import Stopwatch
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What the map predicts: `rgb` (H, W, 3) float32 sRGB in [0, 1]; `coverage` its mean opacity."""
+
+    rgb: np.ndarray
+    coverage: float
+
+
+class SpatialMap(Protocol):
+    """The scene as remembered: grows by refinement, predicts what a camera sees."""
+
+    def refine(self, clock: Stopwatch) -> None:
+        """Optimises over all views registered so far; the first call initialises the map."""
+        ...
+
+    def render(self, camera: Any) -> Rendering | None:
+        """What `camera` would see, None while there is no map."""
+        ...
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What is known when the next action is chosen.
+
+    `rgb` (H, W, 3) uint8; `feasible` (15,) bool by action index; `camera` the registered camera;
+    `scene` the map; both None for methods that neither register nor map.
+    """
+
+    index: int
+    rgb: np.ndarray
+    feasible: np.ndarray
+    candidates: Sequence[Candidate]
+    detections: Sequence[Detection]
+    camera: Any | None = None
+    scene: SpatialMap | None = None
+
+
+@dataclass(frozen=True)
+class EvidenceMaps:
+    """Evidence over the image, (H, W) float32 each.
+
+    `semantic` in [0, 1]; `geometric` in [0, alpha], None where it was not computed; `field` is
+    what the actions were scored on. `functional_uncertainty` is the mean of 1 - S + U_geo, `coverage`
+    the mean opacity of the rendering behind U_geo, 0 where there was none.
+    """
+
+    semantic: np.ndarray
+    geometric: np.ndarray | None
+    field: np.ndarray
+    functional_uncertainty: float | None = None
+    coverage: float | None = None
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The next action, or None to end the search, and how it came about.
+
+    `values` (15,) float, NaN where an action is masked.
+    """
+
+    action: int | None
+    branch: str
+    values: np.ndarray | None = None
+    entropy: float | None = None
+    reason: str = ""
+    maps: EvidenceMaps | None = None
+
+
+class Policy(Protocol):
+    """Chooses the next action."""
+
+    @property
+    def start(self) -> Literal["here", "canonical"]:
+        """Where the first online observation is taken."""
+        ...
+
+    @property
+    def planner(self) -> str | None:
+        """The amortised planner behind it: `none` for a gated policy without one, None for others."""
+        ...
+
+    def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
+        """The next action; seconds go to the clock's stages refine, render, evidence, plan."""
+        ...
+
+
+class Planner(Protocol):
+    """Predicts what each action is worth without touching the map (amortised planning)."""
+
+    @property
+    def name(self) -> str:
+        """How the record calls it."""
+        ...
+
+    def values(self, rgb: np.ndarray, candidates: Sequence[Candidate]) -> np.ndarray:
+        """(15,) float predicted evidence gain of each action; picks its object context itself."""
+        ...

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fuse_grounding import knowledge
+from fuse_grounding.config import KnowledgeConfig
+from fuse_grounding.errors import InputError
+from fuse_grounding.knowledge.affordances import PATH, Affordances, Verb, shipped
+from fuse_grounding.knowledge.judge import judge, pooled, validity
+from fuse_grounding.knowledge.protocol import Query
+from fuse_grounding.knowledge.query import understand
+
+LABELS = tuple(
+    "knife scissors butter_knife spoon ladle mug bowl pitcher water_bottle teapot marker ruler hammer mallet "
+    "screwdriver sponge towel book".split(" ")
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "verb"),
+    [
+        ("something to cut a rope with", "cut"),
+        ("CUTTING the rope!", "cut"),
+        ("wiping the table", "wipe"),
+        ("she poured tea", "pour"),
+        ("drive a nail into the wall", "pound"),
+        ("drive a screw into the wall", "tighten"),  # the longer run decides
+        ("I want to write down how to pour tea", "pour"),  # a known phrasing is longer than a word
+        ("stir it, then pour", "stir"),  # runs of one length: the earliest
+        ("pick_hot", "pick_hot"),
+    ],
+)
+def test_a_query_reaches_its_verb(text: str, verb: str):
+    assert knowledge.parse(text).verb == verb
+
+
+def test_every_known_phrasing_reaches_its_own_verb():
+    for verb in shipped().verbs.values():
+        for text in (verb.name, *verb.synonyms, *verb.queries):
+            assert knowledge.parse(text).verb == verb.name, text
+
+
+def test_unknown_queries_list_what_is_known():
+    with pytest.raises(InputError, match=r"unknown verb `spred`; did you mean `spread`\? known: cut, scoop"):
+        knowledge.parse("spred")
+    with pytest.raises(InputError, match=r"no known verb in the query 'sing a song'; known: cut"):
+        knowledge.parse("sing a song")
+
+
+def test_a_phrase_of_two_verbs_is_refused():
+    def verb(name: str) -> Verb:
+        return Verb(name, ("press",), (), ("p",), (), "")
+
+    graph = Affordances(1, 0.5, {"p": "p"}, {"iron": verb("iron"), "juice": verb("juice")}, {})
+    with pytest.raises(InputError, match="may mean iron or juice"):
+        understand("press it", graph)
+
+
+def test_the_graph_follows_the_table_compiled_by_hand():
+    """`satisfied_by` was written beside the degrees: the rule must give the same objects and scores."""
+    raw = json.loads(PATH.read_text())
+    everything = KnowledgeConfig(top_k=99)
+    for verb, entry in raw["verbs"].items():
+        found = knowledge.make(everything).hypotheses(Query(verb, verb, verb), None, None)
+        expected = {s["object"]: s["score"] for s in entry["satisfied_by"]}
+        assert {c.label: pytest.approx(c.score, abs=5e-4) for c in found.candidates} == expected, verb
+        for near_miss in entry["distractors"]:
+            assert near_miss["object"] not in found.labels
+
+
+def test_the_graph_explains_and_keeps_to_the_vocabulary():
+    source = knowledge.make(KnowledgeConfig())
+    pour = source.hypotheses(knowledge.parse("pour"), LABELS, None)
+    assert pour.labels == ("teapot", "pitcher", "water_bottle")
+    assert "pour_lip 0.6" in pour.candidates[2].reason
+    assert len(knowledge.make(KnowledgeConfig(top_k=2)).hypotheses(pour_query(), LABELS, None).labels) == 2
+    with pytest.raises(InputError, match=r"satisfies `illuminate` \(emits light\).*satisfy: cut, scoop"):
+        source.hypotheses(knowledge.parse("light up a drawer"), LABELS, None)
+
+
+def pour_query() -> Query:
+    return Query("pour", "pour", "pour")
+
+
+def test_direct_announces_the_replacement_of_the_verb():
+    source = knowledge.make(KnowledgeConfig(source="direct"))
+    closed = source.hypotheses(pour_query(), LABELS, None)
+    assert closed.labels == ("pitcher",)  # "pour" is most like "pouring lip"
+    assert "closed set of labels" in closed.announcements[0]
+    opened = source.hypotheses(pour_query(), None, None)
+    assert opened.labels == ("pour",)
+    assert not opened.announcements
+
+
+def test_the_oracle_asks_openly():
+    class World:
+        def oracle_target(self) -> str:
+            return "pitcher"
+
+        def oracle_valid(self) -> list[str]:
+            return ["bowl", "pitcher"]
+
+    for tell, labels in (("target", ("pitcher",)), ("valid", ("bowl", "pitcher"))):
+        source = knowledge.make(KnowledgeConfig.model_validate({"source": "oracle", "oracle": tell}))
+        told = source.hypotheses(pour_query(), LABELS, World())
+        assert told.labels == labels
+        assert "the world was asked" in told.announcements[0]
+        with pytest.raises(InputError, match="needs an episode"):
+            source.hypotheses(pour_query(), LABELS, None)
+
+
+def test_an_unknown_source_is_refused_by_name():
+    with pytest.raises(InputError, match=r"unknown knowledge source `grap`; did you mean `graph`\?"):
+        knowledge.make(KnowledgeConfig(source="grap"))
+
+
+def test_judging_counts_right_wrong_and_missed():
+    table = {
+        "pour": {"teapot": True, "mug": True, "water_bottle": False, "book": False},
+        "illuminate": {"book": True},  # nothing is proposed
+    }
+    pour, illuminate = judge(knowledge.make(KnowledgeConfig()), table)
+    assert (pour.right, pour.wrong, pour.missed) == (("teapot",), ("water_bottle",), ("mug",))
+    assert (pour.precision, pour.recall) == (0.5, 0.5)
+    assert (illuminate.precision, illuminate.recall) == (None, 0.0)
+    assert pooled([pour, illuminate]) == (0.5, pytest.approx(1 / 3))
+
+
+def test_a_broken_validity_table_is_named(tmp_path: Path):
+    path = tmp_path / "validity.json"
+    path.write_text('{"cut": {"knife": {"reason": "sharp"}}}')
+    with pytest.raises(InputError, match="validity.json is not verb -> category -> valid"):
+        validity(path)
+    with pytest.raises(InputError, match="does not exist"):
+        validity(tmp_path / "other.json")
