@@ -21,7 +21,7 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.parts import Glance, Parts, Watcher
-from fuse_grounding.perception.protocol import Detection
+from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
 from fuse_grounding.record import StepEntry, Stopwatch
 from fuse_grounding.registration.protocol import RegisteredView
@@ -46,6 +46,11 @@ class Agent:
 
             parts, config = assemble(config)
         self.config, self._parts = config, parts
+
+    @property
+    def segmenter(self) -> Segmenter:
+        """What finds the candidates."""
+        return self._parts.segmenter
 
     def start(
         self,

@@ -50,6 +50,8 @@ def heat(rgb: np.ndarray, values: np.ndarray, top: float) -> np.ndarray:
 def _scale(image: np.ndarray, top: float) -> np.ndarray:
     """Draws the colour scale into the lower right corner."""
     height, width = image.shape[:2]
+    if width < 320:
+        return image  # no room for it
     ramp = np.repeat(np.linspace(0, 255, 120).astype(np.uint8)[None], 12, axis=0)
     x, y = width - 120 - 46, height - 26
     cv2.rectangle(image, (x - 28, y - 8), (width - 6, height - 6), _PAPER, -1)

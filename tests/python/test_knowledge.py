@@ -13,9 +13,9 @@ from fuse_grounding.knowledge.judge import judge, pooled, validity
 from fuse_grounding.knowledge.protocol import Query
 from fuse_grounding.knowledge.query import understand
 
-LABELS = tuple(
-    "knife scissors butter_knife spoon ladle mug bowl pitcher water_bottle teapot marker ruler hammer mallet "
-    "screwdriver sponge towel book".split(" ")
+LABELS = (
+    *("knife", "scissors", "butter_knife", "spoon", "ladle", "mug", "bowl", "pitcher", "water_bottle"),
+    *("teapot", "marker", "ruler", "hammer", "mallet", "screwdriver", "sponge", "towel", "book"),
 )
 
 
@@ -132,7 +132,7 @@ def test_judging_counts_right_wrong_and_missed():
 def test_a_broken_validity_table_is_named(tmp_path: Path):
     path = tmp_path / "validity.json"
     path.write_text('{"cut": {"knife": {"reason": "sharp"}}}')
-    with pytest.raises(InputError, match="validity.json is not verb -> category -> valid"):
+    with pytest.raises(InputError, match=r"validity\.json is not verb -> category -> valid"):
         validity(path)
     with pytest.raises(InputError, match="does not exist"):
         validity(tmp_path / "other.json")

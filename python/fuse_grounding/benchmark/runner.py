@@ -51,7 +51,7 @@ def run_one(agent: Agent, method: str, episode: Any, index: int) -> Row:
     try:
         environment = TabletopEnvironment(episode)
         grounded = agent.run(environment, episode.query, episode_index=index)
-        metrics = evaluate(grounded, environment, agent)
+        metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
     except InputError:
         raise
     except (FuseError, RuntimeError) as error:

@@ -64,7 +64,10 @@ def _line(row: Row) -> str:
     if row["status"] != "ok":
         return f"{head} failed: {row['error']}"
     verdict = "success" if row["success"] else "-"
-    return f"{head} {verdict:<8} IoU {row['iou']:.3f}  {row['online_actions']:2d} actions  {row['wall_seconds']:.1f} s"
+    return (
+        f"{head} {verdict:<8} IoU {row['iou']:.3f}  {row['online_actions']:2d} actions  "
+        f"{row['wall_seconds']:.1f} s"
+    )
 
 
 def summary(method: str, rows: list[Row]) -> Row:

@@ -120,7 +120,8 @@ def result_lines(result: ResultEntry) -> list[str]:
         lines.append(f"truth       {verdict}, IoU {result.metrics['iou']:.3f}")
     branches = ", ".join(f"{n} {name}" for name, n in result.branches.items()) or "none"
     lines.append(
-        f"actions     {result.online_actions} online, {result.seed_motions} for seed views; branches: {branches}"
+        f"actions     {result.online_actions} online, {result.seed_motions} for seed views; "
+        f"branches: {branches}"
     )
     stages = sorted(result.timings.items(), key=lambda item: -item[1])
     spent = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in stages if seconds >= 0.05)

@@ -71,7 +71,7 @@ def command(
     record = grounded.record
     record.seed, record.scene, record.episode_id = episode.seed, episode.scene_id, episode.episode_id
     assert record.result is not None
-    record.result.metrics = evaluate(grounded, environment, agent)
+    record.result.metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
     record.write(folder / "episode.json")
     narrator.result(record.result, str(folder))
     if as_json:

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuse_grounding.benchmark import metrics
+from fuse_grounding.benchmark.store import HEADER, RESULTS, ResultStore
+from fuse_grounding.cli.bench import summary
+from fuse_grounding.errors import InputError
+
+HEADING = {"episodes": ["a", "b"], "config": {"gate": {"eta": 0.8}}}
+
+
+def row(method: str, episode: str, status: str = "ok", **more: object) -> dict[str, object]:
+    return {"method": method, "episode_id": episode, "status": status, **more}
+
+
+def test_a_killed_benchmark_resumes_without_loss_or_repetition(tmp_path: Path):
+    folder = tmp_path / "b"
+    store = ResultStore(folder, HEADING, resume=False)
+    store.append(row("static", "a", iou=0.5))
+    store.append(row("random", "a", status="failed", error="broke"))
+    with (folder / RESULTS).open("a") as file:
+        file.write('{"method": "static", "episode_id": "b", "sta')  # killed while writing
+    again = ResultStore(folder, HEADING, resume=True)
+    assert again.done("static", "a")
+    assert not again.done("static", "b")
+    assert not again.done("random", "a")  # failed runs are tried again
+    again.append(row("static", "b", iou=0.25))
+    lines = [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
+    assert [(r["method"], r["episode_id"]) for r in lines] == [("static", "a"), ("static", "b")]
+
+
+def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path):
+    folder = tmp_path / "b"
+    ResultStore(folder, HEADING, resume=False).append(row("static", "a"))
+    with pytest.raises(InputError, match="exists and is not empty; use --resume"):
+        ResultStore(folder, HEADING, resume=False)
+    other = {**HEADING, "config": {"gate": {"eta": 0.7}}}
+    with pytest.raises(
+        InputError, match=r"another benchmark: `config\.gate\.eta` is 0\.8 there and 0\.7 here"
+    ):
+        ResultStore(folder, other, resume=True)
+    (folder / HEADER).unlink()
+    with pytest.raises(InputError, match=r"bench\.json is missing or broken"):
+        ResultStore(folder, HEADING, resume=True)
+
+
+def test_resuming_a_folder_without_results_starts_afresh(tmp_path: Path):
+    (tmp_path / "note").write_text("x")
+    store = ResultStore(tmp_path, HEADING, resume=True)
+    store.append(row("static", "a"))
+    assert len((tmp_path / RESULTS).read_text().splitlines()) == 1
+
+
+def test_lines_changed_by_hand_are_not_believed(tmp_path: Path):
+    ResultStore(tmp_path, HEADING, resume=False).append(row("static", "a"))
+    with (tmp_path / RESULTS).open("a") as file:
+        file.write("not json\n")
+    with pytest.raises(InputError, match=r"results\.jsonl, line 2: not a result"):
+        ResultStore(tmp_path, HEADING, resume=True)
+
+
+def test_the_summary_is_of_runs_that_went_through():
+    timings = {"segment": 1.0, "refine": 3.0}
+    common = {"online_actions": 4, "total_steps": 8, "wall_seconds": 5.0, "timings": timings}
+    rows = [
+        row("explicit", "a", success=True, iou=0.9, **common),
+        row("explicit", "b", success=False, iou=0.1, **common),
+        row("explicit", "c", status="failed", error="broke"),
+        row("static", "a", success=True, iou=1.0, **common),
+    ]
+    s = summary("explicit", rows)
+    assert (s["episodes"], s["failed"], s["success"]) == (2, 1, 0.5)
+    assert s["iou"] == pytest.approx(0.5)
+    assert s["shares"] == {"refine": 0.75, "segment": 0.25}
+    assert list(s["shares"]) == ["refine", "segment"]
+    assert summary("random", rows) == {"method": "random", "episodes": 0, "failed": 0}
+
+
+def test_metrics_by_hand():
+    a = np.zeros((4, 6), bool)
+    b = a.copy()
+    a[:, :3] = True
+    b[:, 2:4] = True
+    assert metrics.iou(a, b) == pytest.approx(4 / 16)
+    assert metrics.iou(a & False, b & False) == 0.0
+    assert metrics.pixel_ratio(30, 10, 50) == pytest.approx(0.5)
+    assert metrics.pixel_ratio(70, 10, 50) == 1.0
+    assert metrics.distance_score(0.6, 0.5, 1.0) == pytest.approx(0.8)
+    assert metrics.distance_score(2.0, 0.5, 1.0) == 0.0
+    middle = np.zeros((4, 6), bool)
+    middle[1:3, 2:4] = True
+    assert metrics.center_score(middle) == pytest.approx(1.0)
+    corner = np.zeros((4, 6), bool)
+    corner[0, 0] = True
+    # Pixel centre (0.5, 0.5), image centre (3, 2), corner distance sqrt(13).
+    assert metrics.center_score(corner) == pytest.approx(1 - np.sqrt(2.5**2 + 1.5**2) / np.sqrt(13))
+    assert metrics.center_score(corner & False) == 0.0
