@@ -1,1 +1,11 @@
-//! TBD
+//! The world of the benchmark: tabletop objects, scene configurations, placement, the ring of
+//! viewpoints, episodes and the metrics that know the truth.
+
+pub mod catalogue;
+pub mod configuration;
+pub mod metrics;
+pub mod objects;
+pub mod placement;
+pub mod ring;
+pub mod room;
+pub mod surfaces;

@@ -1,0 +1,357 @@
+//! The objects that scenes are made of: categories, records, model files.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use fuse_render::{Model, ModelError};
+use glam::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
+
+macro_rules! categories {
+    ($($variant:ident $id:literal $label:literal $share:literal,)*) => {
+        /// What a thing is. Its id (`butter_knife`) is the label used by segmenters, knowledge
+        /// sources and episodes; [`Category::label`] is for people.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        pub enum Category {
+            $(#[doc = concat!("A ", $label, ".")] #[serde(rename = $id)] $variant,)*
+        }
+
+        impl Category {
+            /// Every category, in catalogue order.
+            pub const ALL: &[Self] = &[$(Self::$variant,)*];
+
+            /// Identifier in files and commands.
+            pub const fn id(self) -> &'static str {
+                match self { $(Self::$variant => $id,)* }
+            }
+
+            /// Name for people.
+            pub const fn label(self) -> &'static str {
+                match self { $(Self::$variant => $label,)* }
+            }
+
+            /// How often people put it down the way it was made to stand or lie; the rest of
+            /// the time it rests in any other stable pose.
+            pub const fn natural_share(self) -> f32 {
+                match self { $(Self::$variant => $share,)* }
+            }
+        }
+    };
+}
+
+categories! {
+    Knife "knife" "kitchen knife" 0.9,
+    Scissors "scissors" "scissors" 0.9,
+    ButterKnife "butter_knife" "butter knife" 0.8,
+    Spoon "spoon" "spoon" 0.9,
+    Ladle "ladle" "ladle" 0.8,
+    Mug "mug" "mug" 0.88,
+    Bowl "bowl" "bowl" 0.93,
+    Pitcher "pitcher" "pitcher" 0.95,
+    WaterBottle "water_bottle" "water bottle" 0.75,
+    Teapot "teapot" "teapot" 1.0,
+    Marker "marker" "marker" 0.3,
+    Ruler "ruler" "ruler" 1.0,
+    Hammer "hammer" "hammer" 0.7,
+    Mallet "mallet" "mallet" 0.7,
+    Screwdriver "screwdriver" "screwdriver" 0.4,
+    Sponge "sponge" "sponge" 0.75,
+    Towel "towel" "towel" 1.0,
+    Book "book" "book" 0.8,
+}
+
+impl fmt::Display for Category {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.id())
+    }
+}
+
+impl FromStr for Category {
+    type Err = CatalogueError;
+
+    fn from_str(id: &str) -> Result<Self, CatalogueError> {
+        Self::ALL
+            .iter()
+            .copied()
+            .find(|c| c.id() == id)
+            .ok_or_else(|| CatalogueError::UnknownCategory { found: id.into(), known: ids(Self::ALL) })
+    }
+}
+
+fn ids(categories: &[Category]) -> String {
+    categories.iter().map(|c| c.id()).collect::<Vec<_>>().join(", ")
+}
+
+/// Which part of the work an object or scene may be used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Training.
+    Train,
+    /// Tuning and demonstrations.
+    Dev,
+    /// Evaluation only.
+    Eval,
+}
+
+impl Split {
+    /// Every split.
+    pub const ALL: [Self; 3] = [Self::Train, Self::Dev, Self::Eval];
+
+    /// Identifier in files and commands.
+    pub const fn id(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Dev => "dev",
+            Self::Eval => "eval",
+        }
+    }
+
+    /// Instances per category in the shipped catalogue.
+    pub const fn instances(self) -> u64 {
+        match self {
+            Self::Train => 5,
+            Self::Dev => 1,
+            Self::Eval => 2,
+        }
+    }
+}
+
+impl fmt::Display for Split {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.id())
+    }
+}
+
+impl FromStr for Split {
+    type Err = CatalogueError;
+
+    fn from_str(id: &str) -> Result<Self, CatalogueError> {
+        Self::ALL.into_iter().find(|s| s.id() == id).ok_or_else(|| CatalogueError::UnknownSplit(id.into()))
+    }
+}
+
+/// A way in which a thing rests on a table.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RestingPose {
+    /// Rotation from the model's axes to the world's, `[x, y, z, w]`.
+    pub quaternion: [f32; 4],
+    /// How far the model's origin is above the table, metres.
+    pub height: f32,
+    /// Share of throws that end so; a record's poses sum to 1.
+    pub probability: f32,
+}
+
+impl RestingPose {
+    /// The rotation as glam's type.
+    pub fn rotation(&self) -> Quat {
+        Quat::from_array(self.quaternion)
+    }
+}
+
+/// One object of the catalogue.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObjectRecord {
+    /// Unique name, for example `knife_train_0`.
+    pub id: String,
+    /// What it is.
+    pub category: Category,
+    /// What it may be used for.
+    pub split: Split,
+    /// Model file, relative to the catalogue's folder.
+    pub file: String,
+    /// Extent along x, y, z of the model in its natural pose, metres.
+    pub size_m: [f32; 3],
+    /// Stable poses, most probable first.
+    pub resting: Vec<RestingPose>,
+    /// Seed that generates it, see [`crate::objects::generate`].
+    pub seed: u64,
+}
+
+/// Why a catalogue was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CatalogueError {
+    /// An id that is no category.
+    #[error("unknown category `{found}`, expected one of: {known}")]
+    UnknownCategory {
+        /// The id.
+        found: String,
+        /// All known ids.
+        known: String,
+    },
+    /// An id that is no split.
+    #[error("unknown split `{0}`, expected train, dev or eval")]
+    UnknownSplit(String),
+    /// A file could not be read or written.
+    #[error("cannot access {path}: {source}")]
+    Io {
+        /// File name.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// `catalogue.json` is not what it should be.
+    #[error("{path} is not an object catalogue: {reason}")]
+    Invalid {
+        /// File name.
+        path: String,
+        /// What was found and what was expected.
+        reason: String,
+    },
+    /// A model file of the catalogue is missing or broken.
+    #[error("object `{id}`: {source}")]
+    Model {
+        /// The object.
+        id: String,
+        /// What is wrong with its file.
+        source: ModelError,
+    },
+}
+
+/// Objects in a folder: `catalogue.json` and the model files that it names.
+#[derive(Clone, Debug)]
+pub struct Catalogue {
+    directory: PathBuf,
+    records: Vec<ObjectRecord>,
+}
+
+/// Layout of `catalogue.json`.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    version: u32,
+    licence: String,
+    objects: Vec<ObjectRecord>,
+}
+
+/// Format version of `catalogue.json`.
+const VERSION: u32 = 1;
+
+impl Catalogue {
+    /// Reads `directory/catalogue.json` and checks every record and that every model file is
+    /// there.
+    ///
+    /// # Errors
+    /// [`CatalogueError`] naming the file and what is wrong with it.
+    pub fn load(directory: impl AsRef<Path>) -> Result<Self, CatalogueError> {
+        let directory = directory.as_ref().to_path_buf();
+        let path = directory.join("catalogue.json");
+        let name = path.display().to_string();
+        let invalid = |reason: String| CatalogueError::Invalid { path: name.clone(), reason };
+        let text =
+            std::fs::read_to_string(&path).map_err(|source| CatalogueError::Io { path: name.clone(), source })?;
+        let file: File = serde_json::from_str(&text).map_err(|e| invalid(e.to_string()))?;
+        if file.version != VERSION {
+            return Err(invalid(format!("version {}, expected {VERSION}", file.version)));
+        }
+        let mut seen = std::collections::HashSet::new();
+        for record in &file.objects {
+            check(record).map_err(|reason| invalid(format!("object `{}`: {reason}", record.id)))?;
+            if !seen.insert(record.id.as_str()) {
+                return Err(invalid(format!("object `{}` appears twice", record.id)));
+            }
+            let model = directory.join(&record.file);
+            std::fs::metadata(&model)
+                .map_err(|source| CatalogueError::Io { path: model.display().to_string(), source })?;
+        }
+        Ok(Self { directory, records: file.objects })
+    }
+
+    /// All records, in file order.
+    pub fn records(&self) -> &[ObjectRecord] {
+        &self.records
+    }
+
+    /// The record with an id.
+    pub fn get(&self, id: &str) -> Option<&ObjectRecord> {
+        self.records.iter().find(|r| r.id == id)
+    }
+
+    /// Records of a split.
+    pub fn of(&self, split: Split) -> impl Iterator<Item = &ObjectRecord> {
+        self.records.iter().filter(move |r| r.split == split)
+    }
+
+    /// Where a record's model file lies.
+    pub fn path(&self, record: &ObjectRecord) -> PathBuf {
+        self.directory.join(&record.file)
+    }
+
+    /// Loads a record's model.
+    ///
+    /// # Errors
+    /// [`CatalogueError::Model`] when the file is missing, truncated or no sound model.
+    pub fn model(&self, record: &ObjectRecord) -> Result<Model, CatalogueError> {
+        fuse_render::load(self.path(record)).map_err(|source| CatalogueError::Model { id: record.id.clone(), source })
+    }
+}
+
+/// What is wrong with a record's numbers, if anything.
+fn check(record: &ObjectRecord) -> Result<(), String> {
+    if !record.size_m.iter().all(|s| s.is_finite() && *s > 0.0) {
+        return Err(format!("size_m must be three positive numbers, found {:?}", record.size_m));
+    }
+    if record.resting.is_empty() {
+        return Err("needs at least one resting pose".into());
+    }
+    for pose in &record.resting {
+        let norm = pose.rotation().length();
+        if !norm.is_finite() || (norm - 1.0).abs() > 1e-3 {
+            return Err(format!("resting quaternion {:?} is not of unit length", pose.quaternion));
+        }
+        if !(pose.height.is_finite() && (0.0..=1.0).contains(&pose.probability)) {
+            return Err(format!("resting height {} or probability {} is out of range", pose.height, pose.probability));
+        }
+    }
+    if Path::new(&record.file).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
+        return Err(format!("file `{}` must be a path inside the catalogue's folder", record.file));
+    }
+    Ok(())
+}
+
+/// The record and the model of one object of the shipped catalogue: instance `index` of a
+/// category and split.
+pub fn make(category: Category, split: Split, index: u64) -> (ObjectRecord, Model) {
+    let seed = index;
+    let model = crate::objects::generate(category, split, seed);
+    let (low, high) = model.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
+    let id = format!("{category}_{split}_{index}");
+    let resting = crate::objects::resting::resting_poses(&model, category.natural_share());
+    let record =
+        ObjectRecord { file: format!("{id}.glb"), id, category, split, size_m: (high - low).to_array(), resting, seed };
+    (record, model)
+}
+
+/// Writes the shipped catalogue, or the categories given, into `directory`: a GLB per object and
+/// `catalogue.json`, the same bytes every time. Returns the records.
+///
+/// # Errors
+/// [`CatalogueError::Io`] when the folder cannot be made or written.
+pub fn write(directory: impl AsRef<Path>, categories: &[Category]) -> Result<Vec<ObjectRecord>, CatalogueError> {
+    let directory = directory.as_ref();
+    let io = |path: &Path| {
+        let path = path.display().to_string();
+        move |source| CatalogueError::Io { path, source }
+    };
+    std::fs::create_dir_all(directory).map_err(io(directory))?;
+    let mut objects = vec![];
+    for &category in categories {
+        for split in Split::ALL {
+            for index in 0..split.instances() {
+                let (record, model) = make(category, split, index);
+                let path = directory.join(&record.file);
+                std::fs::write(&path, fuse_render::to_glb(&model)).map_err(io(&path))?;
+                objects.push(record);
+            }
+        }
+    }
+    let path = directory.join("catalogue.json");
+    let file = File { version: VERSION, licence: "CC0-1.0".into(), objects };
+    let mut text = serde_json::to_string_pretty(&file)
+        .map_err(|e| CatalogueError::Invalid { path: path.display().to_string(), reason: e.to_string() })?;
+    text.push('\n');
+    std::fs::write(&path, text).map_err(io(&path))?;
+    Ok(file.objects)
+}

@@ -1,0 +1,94 @@
+//! Generators of textured, real-sized things: one per category, any number of instances by
+//! seed.
+//!
+//! Every model is a union of closed solids (each part watertight, winding outwards), in metres,
+//! z up, in its natural pose on z = 0, its footprint's centre on the origin. Training,
+//! development and evaluation instances draw from different ranges, shapes and finishes:
+//! [`table`] and [`dice`].
+
+mod cutlery;
+pub mod dice;
+pub mod finish;
+pub mod hull;
+mod pouring;
+pub mod resting;
+mod scissors;
+pub mod shape;
+mod soft;
+mod stationery;
+pub mod sweep;
+pub mod table;
+pub mod texture;
+mod tools;
+mod vessels;
+
+use fuse_render::{Material, Model};
+
+use self::dice::Dice;
+use self::shape::Surface;
+use crate::catalogue::{Category, Split};
+
+/// A model under construction and the dice that decide about it.
+struct Workshop {
+    category: Category,
+    dice: Dice,
+    model: Model,
+}
+
+impl Workshop {
+    /// The instance's shape variant.
+    fn shape(&mut self) -> &'static str {
+        self.dice.family(&table::shapes(self.category))
+    }
+
+    /// Adds a material and returns its index.
+    fn material(&mut self, make: impl FnOnce(&mut Dice) -> Material) -> usize {
+        let material = make(&mut self.dice);
+        self.model.materials.push(material);
+        self.model.materials.len() - 1
+    }
+
+    /// Adds a part; edges sharper than `crease` degrees stay sharp.
+    fn add(&mut self, surface: Surface, material: usize, crease: f32) {
+        if !surface.faces.is_empty() {
+            self.model.meshes.push(surface.mesh(material, crease));
+        }
+    }
+
+    /// Lets the thing come to rest.
+    fn settle(&mut self) {
+        resting::settle(&mut self.model);
+    }
+
+    /// For things that stand on a flat foot: they are in their natural pose already.
+    fn place(&mut self) {
+        resting::settle(&mut self.model);
+    }
+}
+
+/// The model of one instance: a function of category, split and seed alone.
+pub fn generate(category: Category, split: Split, seed: u64) -> Model {
+    let mut workshop = Workshop { category, dice: Dice::new(category, split, seed), model: Model::default() };
+    let make = match category {
+        Category::Knife => cutlery::knife,
+        Category::Scissors => scissors::scissors,
+        Category::ButterKnife => cutlery::butter_knife,
+        Category::Spoon => cutlery::spoon,
+        Category::Ladle => cutlery::ladle,
+        Category::Mug => vessels::mug,
+        Category::Bowl => vessels::bowl,
+        Category::Pitcher => pouring::pitcher,
+        Category::WaterBottle => pouring::water_bottle,
+        Category::Teapot => pouring::teapot,
+        Category::Marker => stationery::marker,
+        Category::Ruler => stationery::ruler,
+        Category::Hammer => tools::hammer,
+        Category::Mallet => tools::mallet,
+        Category::Screwdriver => tools::screwdriver,
+        Category::Sponge => soft::sponge,
+        Category::Towel => soft::towel,
+        Category::Book => stationery::book,
+    };
+    make(&mut workshop);
+    workshop.model
+}
