@@ -10,7 +10,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let renderer = fuse_render::Renderer::new(common::tabletop(15, 48), &fuse_render::RenderOptions::default())?;
     println!("prepared in {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
-    let camera = common::camera(640, 480, [0.75, -0.75, 1.35], [0.0, 0.0, 0.75]);
+    if let Some(repeats) = std::env::args().nth(2) {
+        // For profilers: prepare or render many times.
+        let scene = common::tabletop(15, 48);
+        println!("{} triangles", scene.instances.iter().map(|i| i.model.triangle_count()).sum::<usize>());
+        for _ in 0..repeats.parse()? {
+            fuse_render::Renderer::new(scene.clone(), &fuse_render::RenderOptions::default())?;
+        }
+        return Ok(());
+    }
+    let camera = common::camera(640, 480, [-0.2, -0.85, 1.4], [0.0, 0.0, 0.75]);
     let mut best = f64::INFINITY;
     for _ in 0..8 {
         let start = Instant::now();

@@ -4,8 +4,10 @@
 //! chains, shadow maps, ambient occlusion) is made once in [`Renderer::new`].
 
 mod geometry;
+mod occlusion;
 mod raster;
 mod shade;
+mod shadow;
 mod texture;
 mod transform;
 
@@ -15,8 +17,10 @@ use rayon::prelude::*;
 
 use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
 use geometry::Geometry;
+use occlusion::Occlusion;
 use raster::{LANES, Mask, SAMPLES, TILE_HEIGHT, TILE_WIDTH, Tile};
 use shade::Shading;
+use shadow::Shadow;
 use transform::{Sampling, Setup, View};
 
 /// A scene, ready to be seen from any camera.
@@ -85,7 +89,9 @@ impl Renderer {
         let mut ids: Vec<u32> = scene.instances.iter().map(|i| i.id).filter(|&id| id != 0).collect();
         ids.sort_unstable();
         ids.dedup();
-        let shading = Shading::new(&scene.light);
+        let shadow = options.shadows.then(|| Shadow::new(&geometry, &scene.light, options.shadow_resolution));
+        let occlusion = if options.ambient_occlusion { Occlusion::new(&geometry) } else { None };
+        let shading = Shading::new(&scene.light, shadow, occlusion);
         Ok(Self { geometry, shading, background: scene.background, near: options.near, ids })
     }
 

@@ -42,9 +42,9 @@ impl Default for Light {
         Self {
             position: Vec3::new(0.9, -0.8, 2.45),
             radius: 0.16,
-            intensity: Vec3::new(2.35, 2.2, 1.95),
-            sky: Vec3::new(0.34, 0.36, 0.40),
-            ground: Vec3::new(0.16, 0.145, 0.13),
+            intensity: Vec3::new(3.9, 3.7, 3.35),
+            sky: Vec3::new(0.21, 0.225, 0.25),
+            ground: Vec3::new(0.12, 0.105, 0.09),
             soft_boxes: vec![
                 SoftBox {
                     direction: Vec3::new(-0.8, 0.35, 0.5),

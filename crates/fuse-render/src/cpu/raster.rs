@@ -123,6 +123,12 @@ impl Tile {
         self.nearest[i / LANES][i % LANES]
     }
 
+    /// Inverse depths of one pixel row, centre mode.
+    pub fn center_depths(&self, row: usize) -> &[f32] {
+        let groups = TILE_WIDTH / LANES;
+        self.inverse_depth[row * groups..(row + 1) * groups].as_flattened()
+    }
+
     /// Draws all samples of every pixel; `key` is the setup's index plus one.
     pub fn draw_area(&mut self, setup: &Setup, key: u32) {
         dispatch!(self.level, area, area_avx2, self, setup, key);

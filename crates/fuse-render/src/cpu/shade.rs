@@ -3,12 +3,16 @@
 use glam::{DVec3, Vec2, Vec3};
 
 use super::geometry::{Geometry, Surface};
+use super::occlusion::Occlusion;
+use super::shadow::Shadow;
 use super::transform::Setup;
 use crate::Light;
 
 /// What shading reads; made once for a scene.
 pub(super) struct Shading {
     pub light: Light,
+    pub shadow: Option<Shadow>,
+    pub occlusion: Option<Occlusion>,
     pub encode: SrgbTable,
 }
 
@@ -60,12 +64,12 @@ fn point<'a>(geometry: &'a Geometry, setup: &Setup, u: f64, v: f64, eye: Vec3) -
 }
 
 impl Shading {
-    pub fn new(light: &Light) -> Self {
+    pub fn new(light: &Light, shadow: Option<Shadow>, occlusion: Option<Occlusion>) -> Self {
         let mut light = light.clone();
         for soft_box in &mut light.soft_boxes {
             soft_box.direction = soft_box.direction.normalize_or(Vec3::Z);
         }
-        Self { light, encode: SrgbTable::new() }
+        Self { light, shadow, occlusion, encode: SrgbTable::new() }
     }
 
     /// Display-linear colour of a triangle at continuous image coordinates.
@@ -86,8 +90,10 @@ impl Shading {
         let diffuse = base * (1.0 - metallic);
         let nv = p.normal.dot(view).max(1e-3);
         let reflection = p.normal * (2.0 * p.normal.dot(view)) - view;
-        let ambient = diffuse * self.irradiance(p.normal)
-            + environment_brdf(f0, roughness, nv) * self.surroundings(reflection, roughness);
+        let blocked = self.occlusion.as_ref().map(|o| o.at(p.position, p.normal, reflection));
+        let (hidden, hidden_mirror) = blocked.unwrap_or_default();
+        let ambient = diffuse * self.irradiance(p.normal) * (1.0 - hidden)
+            + environment_brdf(f0, roughness, nv) * self.surroundings(reflection, roughness) * (1.0 - hidden_mirror);
         ambient + self.key(p, diffuse, f0, view, nv, roughness)
     }
 
@@ -97,7 +103,11 @@ impl Shading {
         let distance2 = to_light.length_squared().max(1e-4);
         let l = to_light / distance2.sqrt();
         let nl = p.normal.dot(l);
-        if nl <= 0.0 {
+        if nl <= 0.0 || p.facet.dot(l) <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let visible = self.shadow.as_ref().map_or(1.0, |s| s.visibility(p.position, p.facet));
+        if visible <= 0.0 {
             return Vec3::ZERO;
         }
         let h = (l + view).normalize_or(p.normal);
@@ -112,7 +122,7 @@ impl Shading {
         let visibility = 0.25 / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
         let f = (1.0 - vh) * (1.0 - vh);
         let fresnel = f0 + (Vec3::ONE - f0) * (f * f * (1.0 - vh));
-        (diffuse + fresnel * (distribution * visibility)) * self.light.intensity * (nl / distance2)
+        (diffuse + fresnel * (distribution * visibility)) * self.light.intensity * (visible * nl / distance2)
     }
 
     /// Ambient irradiance over π on a surface with this normal.
@@ -166,9 +176,9 @@ impl Shading {
 fn environment_brdf(f0: Vec3, roughness: f32, nv: f32) -> Vec3 {
     let r = [-roughness + 1.0, -0.0275 * roughness + 0.0425, -0.572 * roughness + 1.04, 0.022 * roughness - 0.04];
     let (a, edge) = (r[0] * r[0], 1.0 - nv);
-    // (1 - nv)^9.28 of the fit, replaced by a ninth power: no library call, same bits anywhere.
-    let edge = edge * edge * edge;
-    let a004 = a.min(edge * edge * edge) * r[0] + r[1];
+    // The fit's 2^(-9.28 nv) is replaced by (1 - nv)⁵: no library call, the same bits anywhere.
+    let edge = edge * edge * edge * edge * edge;
+    let a004 = a.min(edge) * r[0] + r[1];
     let (scale, bias) = (-1.04 * a004 + r[2], 1.04 * a004 + r[3]);
     f0 * scale + Vec3::splat(bias)
 }

@@ -44,9 +44,10 @@ pub(super) enum Sampling {
 
 /// What maps the world to pixels.
 pub(super) struct View {
-    /// `K · R`, `K · t`.
-    matrix: DMat3,
-    offset: DVec3,
+    /// `K · R`.
+    pub matrix: DMat3,
+    /// `K · t`.
+    pub offset: DVec3,
     pub width: u32,
     pub height: u32,
     pub near: f64,
