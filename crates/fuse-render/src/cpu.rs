@@ -19,7 +19,7 @@ use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
 use geometry::Geometry;
 use occlusion::Occlusion;
 use raster::{LANES, Mask, SAMPLES, TILE_HEIGHT, TILE_WIDTH, Tile};
-use shade::Shading;
+use shade::{Shader, Shading};
 use shadow::Shadow;
 use transform::{Sampling, Setup, View};
 
@@ -122,10 +122,11 @@ impl Renderer {
             .zip(frame.instance.as_mut_slice().par_chunks_mut(band))
             .enumerate()
             .for_each_init(
-                || Tile::new(&view, LANES),
-                |tile, (ty, ((rgb, depth), ids))| {
+                || (Tile::new(&view, LANES), Shader::new(&self.geometry, &self.shading, eye)),
+                |(tile, shader), (ty, ((rgb, depth), ids))| {
                     for tx in 0..binned.tiles_x {
                         tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
+                        shader.reset();
                         for &s in binned.tile(tx, ty) {
                             tile.draw_area(&binned.setups[s as usize], s + 1);
                         }
@@ -136,7 +137,7 @@ impl Renderer {
                                 let samples = tile.samples(x, y);
                                 let at = row * w as usize + x;
                                 (depth[at], ids[at]) = self.center(&binned, samples[0], x, y);
-                                rgb[at] = self.shading.encode.encode(self.pixel(&binned, samples, x, y, eye));
+                                rgb[at] = self.shading.encode.encode(self.pixel(&binned, shader, samples, x, y));
                             }
                         }
                     }
@@ -227,14 +228,10 @@ impl Renderer {
 
     /// Display-linear colour of a pixel: each triangle in it is shaded once, at the mean of the
     /// samples it covers, and weighted with their number.
-    fn pixel(&self, binned: &Binned, samples: &[u32; LANES], x: usize, y: usize, eye: Vec3) -> Vec3 {
-        let (cx, cy) = (x as f64 + 0.5, y as f64 + 0.5);
-        let shade = |key: u32, dx: f32, dy: f32| match key.checked_sub(1) {
+    fn pixel(&self, binned: &Binned, shader: &mut Shader<'_>, samples: &[u32; LANES], x: usize, y: usize) -> Vec3 {
+        let mut shade = |key: u32, dx: f32, dy: f32| match key.checked_sub(1) {
             None => self.shading.background(self.background),
-            Some(i) => {
-                let setup = &binned.setups[i as usize];
-                self.shading.color(&self.geometry, setup, cx + f64::from(dx), cy + f64::from(dy), eye)
-            }
+            Some(i) => shader.color(&binned.setups[i as usize], key, (x, y), dx, dy),
         };
         if samples.iter().all(|&s| s == samples[0]) {
             return shade(samples[0], 0.0, 0.0);

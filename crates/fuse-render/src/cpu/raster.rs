@@ -57,22 +57,55 @@ impl Planes {
     /// Edges in 0..3, inverse depth in 3; `None` when no sample of the block can be inside.
     #[inline(always)]
     fn at(setup: &Setup, x: usize, y: usize) -> Option<Self> {
-        let corner = DVec3::new(x as f64, y as f64, 1.0);
+        let (x, y) = (x as f64, y as f64);
         let rows = [setup.edges[0], setup.edges[1], setup.edges[2], setup.inverse_depth];
-        let planes = Self {
-            value: rows.map(|r| r.dot(corner) as f32),
-            du: rows.map(|r| r.x as f32),
-            dv: rows.map(|r| r.y as f32),
-        };
         let side = BLOCK as f32 * 1.0001;
-        let outside = (0..3).any(|i| planes.value[i] + side * (planes.du[i].max(0.0) + planes.dv[i].max(0.0)) < 0.0);
-        (!outside).then_some(planes)
+        let mut planes = Self { value: [0.0; 4], du: [0.0; 4], dv: [0.0; 4] };
+        let mut outside = false;
+        for i in 0..4 {
+            let r: DVec3 = rows[i];
+            planes.value[i] = (r.x * x + r.y * y + r.z) as f32;
+            planes.du[i] = r.x as f32;
+            planes.dv[i] = r.y as f32;
+            let highest = planes.value[i] + side * (planes.du[i].max(0.0) + planes.dv[i].max(0.0));
+            outside |= highest < 0.0;
+        }
+        if outside { None } else { Some(planes) }
     }
 
     /// Values at the centres of the pixel row `dy` of the block, at column offset 0.
     #[inline(always)]
     fn row(&self, dy: usize) -> [f32; 4] {
-        std::array::from_fn(|i| self.value[i] + self.dv[i] * (dy as f32 + 0.5))
+        let mut out = self.value;
+        for i in 0..4 {
+            out[i] += self.dv[i] * (dy as f32 + 0.5);
+        }
+        out
+    }
+
+    /// Values at the centres of the eight pixels of the row `dy`.
+    #[inline(always)]
+    fn centers(&self, dy: usize) -> [Lanes; 4] {
+        let row = self.row(dy);
+        let mut out = [[0.0; LANES]; 4];
+        for i in 0..4 {
+            for s in 0..LANES {
+                out[i][s] = row[i] + self.du[i] * (s as f32 + 0.5);
+            }
+        }
+        out
+    }
+
+    /// What the samples of a pixel add to its centre's values.
+    #[inline(always)]
+    fn sample_offsets(&self) -> [Lanes; 4] {
+        let mut out = [[0.0; LANES]; 4];
+        for i in 0..4 {
+            for s in 0..LANES {
+                out[i][s] = self.du[i] * SAMPLES[s][0] + self.dv[i] * SAMPLES[s][1];
+            }
+        }
+        out
     }
 }
 
@@ -151,23 +184,6 @@ impl Tile {
     }
 }
 
-/// Calls `visit(block x, block y, planes)` for the blocks that the triangle may touch.
-#[inline(always)]
-fn for_blocks(setup: &Setup, bounds: (usize, usize, usize, usize), mut visit: impl FnMut(usize, usize, &Planes)) {
-    let (x0, x1, y0, y1) = bounds;
-    let mut by = y0 & !(BLOCK - 1);
-    while by < y1 {
-        let mut bx = x0 & !(BLOCK - 1);
-        while bx < x1 {
-            if let Some(planes) = Planes::at(setup, bx, by) {
-                visit(bx, by, &planes);
-            }
-            bx += BLOCK;
-        }
-        by += BLOCK;
-    }
-}
-
 #[inline(always)]
 fn depth_test(z: &mut Lanes, nearest: &mut [u32; LANES], e: &[Lanes; 4], limit: f32, key: u32) {
     for s in 0..LANES {
@@ -177,48 +193,51 @@ fn depth_test(z: &mut Lanes, nearest: &mut [u32; LANES], e: &[Lanes; 4], limit: 
     }
 }
 
+// The kernels are plain nested loops: closures would not be compiled for the caller's
+// instruction set.
+
 #[inline(always)]
 fn area(tile: &mut Tile, setup: &Setup, key: u32) {
-    let bounds = tile.clip(setup);
-    let (x0, x1, y0, y1) = bounds;
+    let (x0, x1, y0, y1) = tile.clip(setup);
     let limit = tile.max_inverse_depth;
-    for_blocks(setup, bounds, |bx, by, planes| {
-        let offsets: [Lanes; 4] = std::array::from_fn(|i| {
-            std::array::from_fn(|s| planes.du[i] * SAMPLES[s][0] + planes.dv[i] * SAMPLES[s][1])
-        });
-        for y in by.max(y0)..(by + BLOCK).min(y1) {
-            let row = planes.row(y - by);
-            let first = (y - tile.y) * TILE_WIDTH;
-            for x in bx.max(x0)..(bx + BLOCK).min(x1) {
-                let dx = (x - bx) as f32 + 0.5;
-                let center: [f32; 4] = std::array::from_fn(|i| row[i] + planes.du[i] * dx);
-                let e: [Lanes; 4] = std::array::from_fn(|i| std::array::from_fn(|s| center[i] + offsets[i][s]));
-                let at = first + (x - tile.x);
-                depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+    for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
+        for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
+            let Some(planes) = Planes::at(setup, bx, by) else { continue };
+            let offsets = planes.sample_offsets();
+            for y in by.max(y0)..(by + BLOCK).min(y1) {
+                let row = planes.row(y - by);
+                let first = (y - tile.y) * TILE_WIDTH;
+                for x in bx.max(x0)..(bx + BLOCK).min(x1) {
+                    let dx = (x - bx) as f32 + 0.5;
+                    let mut e = offsets;
+                    for i in 0..4 {
+                        let center = row[i] + planes.du[i] * dx;
+                        for s in 0..LANES {
+                            e[i][s] += center;
+                        }
+                    }
+                    let at = first + (x - tile.x);
+                    depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+                }
             }
         }
-    });
-}
-
-/// Values of the four functions at the centres of the eight pixels of a block's row.
-#[inline(always)]
-fn center_row(planes: &Planes, dy: usize) -> [Lanes; 4] {
-    let row = planes.row(dy);
-    std::array::from_fn(|i| std::array::from_fn(|s| row[i] + planes.du[i] * (s as f32 + 0.5)))
+    }
 }
 
 #[inline(always)]
 fn centers(tile: &mut Tile, setup: &Setup, key: u32) {
-    let bounds = tile.clip(setup);
-    let (_, _, y0, y1) = bounds;
+    let (x0, x1, y0, y1) = tile.clip(setup);
     let limit = tile.max_inverse_depth;
-    for_blocks(setup, bounds, |bx, by, planes| {
-        for y in by.max(y0)..(by + BLOCK).min(y1) {
-            let e = center_row(planes, y - by);
-            let at = ((y - tile.y) * TILE_WIDTH + (bx - tile.x)) / LANES;
-            depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+    for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
+        for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
+            let Some(planes) = Planes::at(setup, bx, by) else { continue };
+            for y in by.max(y0)..(by + BLOCK).min(y1) {
+                let e = planes.centers(y - by);
+                let at = ((y - tile.y) * TILE_WIDTH + (bx - tile.x)) / LANES;
+                depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+            }
         }
-    });
+    }
 }
 
 /// Which pixel centres of an image a set of triangles covers: one bit a pixel.
@@ -254,23 +273,26 @@ impl Mask {
 fn mask(mask: &mut Mask, setup: &Setup) {
     let (x0, x1) = (setup.x0 as usize, setup.x1 as usize + 1);
     let (y0, y1) = (setup.y0 as usize, setup.y1 as usize + 1);
-    for_blocks(setup, (x0, x1, y0, y1), |bx, by, planes| {
-        // The bounds keep the bits beyond the image's right edge clear.
-        let valid = columns(bx, x0, x1);
-        for y in by.max(y0)..(by + BLOCK).min(y1) {
-            let e = center_row(planes, y - by);
-            let mut bits = 0u8;
-            for s in 0..LANES {
-                let inside = (e[0][s] >= 0.0)
-                    & (e[1][s] >= 0.0)
-                    & (e[2][s] >= 0.0)
-                    & (e[3][s] > 0.0)
-                    & (e[3][s] <= mask.max_inverse_depth);
-                bits |= u8::from(inside) << s;
+    for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
+        for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
+            let Some(planes) = Planes::at(setup, bx, by) else { continue };
+            // The bounds keep the bits beyond the image's right edge clear.
+            let valid = columns(bx, x0, x1);
+            for y in by.max(y0)..(by + BLOCK).min(y1) {
+                let e = planes.centers(y - by);
+                let mut bits = 0u8;
+                for s in 0..LANES {
+                    let inside = (e[0][s] >= 0.0)
+                        & (e[1][s] >= 0.0)
+                        & (e[2][s] >= 0.0)
+                        & (e[3][s] > 0.0)
+                        & (e[3][s] <= mask.max_inverse_depth);
+                    bits |= u8::from(inside) << s;
+                }
+                mask.bits[y * mask.bytes_per_row + bx / LANES] |= bits & valid;
             }
-            mask.bits[y * mask.bytes_per_row + bx / LANES] |= bits & valid;
         }
-    });
+    }
 }
 
 /// Bits of the columns `[x0, x1)` in the group of eight that begins at `bx`.

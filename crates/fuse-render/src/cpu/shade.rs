@@ -16,6 +16,29 @@ pub(super) struct Shading {
     pub encode: SrgbTable,
 }
 
+/// Ready to interpolate over one triangle: attributes times `1 / z` are linear over the image.
+pub(super) struct Shader<'a> {
+    geometry: &'a Geometry,
+    shading: &'a Shading,
+    eye: Vec3,
+    /// Key of the triangle that the planes belong to; 0 for none.
+    key: u32,
+    /// Image coordinates at which `value` holds.
+    origin: (f64, f64),
+    planes: Planes,
+    surface: usize,
+}
+
+/// Value, and change along image x and y, of the weights' sum and of each attribute times it.
+#[derive(Default)]
+struct Planes {
+    sum: [f32; 3],
+    position: [Vec3; 3],
+    normal: [Vec3; 3],
+    uv: [Vec2; 3],
+    facet: Vec3,
+}
+
 /// A surface point seen through a pixel.
 struct Point<'a> {
     position: Vec3,
@@ -23,43 +46,91 @@ struct Point<'a> {
     normal: Vec3,
     /// Of the triangle, towards the viewer's side.
     facet: Vec3,
+    /// Unit, towards the eye.
+    view: Vec3,
     uv: Vec2,
     du: Vec2,
     dv: Vec2,
     surface: &'a Surface,
 }
 
-/// The point of a triangle at continuous image coordinates `(u, v)`, with the screen-space
-/// derivatives of its texture coordinates.
-fn point<'a>(geometry: &'a Geometry, setup: &Setup, u: f64, v: f64, eye: Vec3) -> Point<'a> {
-    let pixel = DVec3::new(u, v, 1.0);
-    let e = setup.edges.map(|row| row.dot(pixel));
-    let sum = e[0] + e[1] + e[2];
-    let gradient = setup.edges[0] + setup.edges[1] + setup.edges[2];
-    let weight = e.map(|e| (e / sum) as f32);
-    let slope = |axis: usize| -> [f32; 3] {
-        std::array::from_fn(|i| ((setup.edges[i][axis] - e[i] / sum * gradient[axis]) / sum) as f32)
-    };
-    let (wu, wv) = (slope(0), slope(1));
-    let t = geometry.triangles[setup.triangle as usize].map(|v| v as usize);
-    let part = &geometry.parts[geometry.triangle_part[setup.triangle as usize] as usize];
-    let mix = |w: [f32; 3]| geometry.uvs[t[0]] * w[0] + geometry.uvs[t[1]] * w[1] + geometry.uvs[t[2]] * w[2];
-    let p = t.map(|v| geometry.positions[v]);
-    let position = p[0] * weight[0] + p[1] * weight[1] + p[2] * weight[2];
-    let to_eye = eye - position;
-    let n = t.map(|v| geometry.normals[v]);
-    let normal = n[0] * weight[0] + n[1] * weight[1] + n[2] * weight[2];
-    let facet = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or(Vec3::Z);
-    // Back faces of double-sided surfaces are lit like front faces.
-    let side = if facet.dot(to_eye) < 0.0 { -1.0 } else { 1.0 };
-    Point {
-        position,
-        normal: normal.normalize_or(facet) * side,
-        facet: facet * side,
-        uv: mix(weight),
-        du: mix(wu),
-        dv: mix(wv),
-        surface: &geometry.surfaces[part.surface as usize],
+impl Planes {
+    fn new(geometry: &Geometry, setup: &Setup, (u, v): (f64, f64)) -> Self {
+        let t = geometry.triangles[setup.triangle as usize].map(|v| v as usize);
+        let at = DVec3::new(u, v, 1.0);
+        // The common factor keeps single precision in range.
+        let total = setup.edges[0] + setup.edges[1] + setup.edges[2];
+        let scale = 1.0 / total.dot(at);
+        let mut planes = Self::default();
+        for (i, &v) in t.iter().enumerate() {
+            let e = setup.edges[i];
+            let weights = [e.dot(at) * scale, e.x * scale, e.y * scale].map(|w| w as f32);
+            let (p, n, uv) = (geometry.positions[v], geometry.normals[v], geometry.uvs[v]);
+            for (k, w) in weights.into_iter().enumerate() {
+                planes.position[k] += p * w;
+                planes.normal[k] += n * w;
+                planes.uv[k] += uv * w;
+            }
+        }
+        planes.sum = [1.0, (total.x * scale) as f32, (total.y * scale) as f32];
+        let p = t.map(|v| geometry.positions[v]);
+        planes.facet = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or(Vec3::Z);
+        planes
+    }
+}
+
+impl<'a> Shader<'a> {
+    pub fn new(geometry: &'a Geometry, shading: &'a Shading, eye: Vec3) -> Self {
+        Self { geometry, shading, eye, key: 0, origin: (0.0, 0.0), planes: Planes::default(), surface: 0 }
+    }
+
+    /// Forgets the triangle; to be called for each tile, so that results do not depend on which
+    /// tile was shaded before.
+    pub fn reset(&mut self) {
+        self.key = 0;
+    }
+
+    /// Display-linear colour of a triangle at pixel `(x, y)` plus `(dx, dy)`; `key` tells
+    /// triangles of one view apart and is never 0.
+    pub fn color(&mut self, setup: &Setup, key: u32, (x, y): (usize, usize), dx: f32, dy: f32) -> Vec3 {
+        if key != self.key {
+            self.origin = (x as f64 + 0.5, y as f64 + 0.5);
+            self.planes = Planes::new(self.geometry, setup, self.origin);
+            let part = self.geometry.triangle_part[setup.triangle as usize];
+            self.surface = self.geometry.parts[part as usize].surface as usize;
+            self.key = key;
+        }
+        let du = (x as f64 + 0.5 - self.origin.0) as f32 + dx;
+        let dv = (y as f64 + 0.5 - self.origin.1) as f32 + dy;
+        let p = self.point(du, dv);
+        let mut base = p.surface.base;
+        if let Some(texture) = &p.surface.texture {
+            base *= texture.sample(p.uv, p.du, p.dv);
+        }
+        self.shading.display(self.shading.reflected(&p, base))
+    }
+
+    #[inline]
+    fn point(&self, du: f32, dv: f32) -> Point<'a> {
+        let l = &self.planes;
+        let inverse = 1.0 / (l.sum[0] + l.sum[1] * du + l.sum[2] * dv);
+        let position = (l.position[0] + l.position[1] * du + l.position[2] * dv) * inverse;
+        let normal = l.normal[0] + l.normal[1] * du + l.normal[2] * dv;
+        let uv = (l.uv[0] + l.uv[1] * du + l.uv[2] * dv) * inverse;
+        let to_eye = self.eye - position;
+        // Back faces of double-sided surfaces are lit like front faces.
+        let side = if l.facet.dot(to_eye) < 0.0 { -1.0 } else { 1.0 };
+        let facet = l.facet * side;
+        Point {
+            position,
+            normal: normal.normalize_or(l.facet) * side,
+            facet,
+            view: to_eye.normalize_or(facet),
+            uv,
+            du: (l.uv[1] - uv * l.sum[1]) * inverse,
+            dv: (l.uv[2] - uv * l.sum[2]) * inverse,
+            surface: &self.geometry.surfaces[self.surface],
+        }
     }
 }
 
@@ -72,33 +143,22 @@ impl Shading {
         Self { light, shadow, occlusion, encode: SrgbTable::new() }
     }
 
-    /// Display-linear colour of a triangle at continuous image coordinates.
-    pub fn color(&self, geometry: &Geometry, setup: &Setup, u: f64, v: f64, eye: Vec3) -> Vec3 {
-        let p = point(geometry, setup, u, v, eye);
-        let mut base = p.surface.base;
-        if let Some(texture) = &p.surface.texture {
-            base *= texture.sample(p.uv, p.du, p.dv);
-        }
-        let view = (eye - p.position).normalize_or(p.facet);
-        self.display(self.reflected(&p, base, view))
-    }
-
     /// Radiance towards the viewer.
-    fn reflected(&self, p: &Point<'_>, base: Vec3, view: Vec3) -> Vec3 {
+    fn reflected(&self, p: &Point<'_>, base: Vec3) -> Vec3 {
         let (metallic, roughness) = (p.surface.metallic, p.surface.roughness);
         let f0 = Vec3::splat(0.04).lerp(base, metallic);
         let diffuse = base * (1.0 - metallic);
-        let nv = p.normal.dot(view).max(1e-3);
-        let reflection = p.normal * (2.0 * p.normal.dot(view)) - view;
+        let nv = p.normal.dot(p.view).max(1e-3);
+        let reflection = p.normal * (2.0 * p.normal.dot(p.view)) - p.view;
         let blocked = self.occlusion.as_ref().map(|o| o.at(p.position, p.normal, reflection));
         let (hidden, hidden_mirror) = blocked.unwrap_or_default();
         let ambient = diffuse * self.irradiance(p.normal) * (1.0 - hidden)
             + environment_brdf(f0, roughness, nv) * self.surroundings(reflection, roughness) * (1.0 - hidden_mirror);
-        ambient + self.key(p, diffuse, f0, view, nv, roughness)
+        ambient + self.key(p, diffuse, f0, nv, roughness)
     }
 
     /// Light from the key lamp: Lambert and GGX, the lamp's size widening the highlight.
-    fn key(&self, p: &Point<'_>, diffuse: Vec3, f0: Vec3, view: Vec3, nv: f32, roughness: f32) -> Vec3 {
+    fn key(&self, p: &Point<'_>, diffuse: Vec3, f0: Vec3, nv: f32, roughness: f32) -> Vec3 {
         let to_light = self.light.position - p.position;
         let distance2 = to_light.length_squared().max(1e-4);
         let l = to_light / distance2.sqrt();
@@ -110,8 +170,8 @@ impl Shading {
         if visible <= 0.0 {
             return Vec3::ZERO;
         }
-        let h = (l + view).normalize_or(p.normal);
-        let (nh, vh) = (p.normal.dot(h).clamp(0.0, 1.0), view.dot(h).clamp(0.0, 1.0));
+        let h = (l + p.view).normalize_or(p.normal);
+        let (nh, vh) = (p.normal.dot(h).clamp(0.0, 1.0), p.view.dot(h).clamp(0.0, 1.0));
         let alpha = roughness * roughness;
         let wide = (alpha + 0.5 * self.light.radius / distance2.sqrt()).min(1.0);
         let a2 = wide * wide;
@@ -140,6 +200,9 @@ impl Shading {
     fn surroundings(&self, d: Vec3, roughness: f32) -> Vec3 {
         let t = (0.5 + d.z / (0.3 + 1.7 * roughness)).clamp(0.0, 1.0);
         let mut sum = self.light.ground.lerp(self.light.sky, t * t * (3.0 - 2.0 * t));
+        // Walls are brighter than floor and ceiling, which see the lamp at a steeper angle.
+        let level = 1.0 - d.z * d.z;
+        sum += self.light.sky * (0.7 * level * level);
         let a = roughness * roughness;
         for b in &self.light.soft_boxes {
             let s = b.sharpness / (1.0 + b.sharpness * a);
