@@ -3,10 +3,42 @@
 use crate::error::EvidenceError;
 use crate::view::View;
 
-/// At this mean depth (metres) or nearer, proximity is 1.
-pub const NEAR_M: f64 = 0.3;
-/// From this mean depth (metres) on, proximity is 0.
-pub const FAR_M: f64 = 1.2;
+/// Mean depths between which proximity falls from 1 to 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthRange {
+    near_m: f64,
+    far_m: f64,
+}
+
+impl DepthRange {
+    /// Proximity is 1 up to `near_m` metres and 0 from `far_m` metres on.
+    ///
+    /// # Errors
+    /// Unless `0 <= near_m < far_m`, both finite.
+    pub fn new(near_m: f64, far_m: f64) -> Result<Self, EvidenceError> {
+        let wrong = |argument, value, expected| Err(EvidenceError::OutOfRange { argument, value, expected });
+        if !(near_m.is_finite() && near_m >= 0.0) {
+            return wrong("near", near_m, "finite and not negative");
+        }
+        if !(far_m.is_finite() && far_m > near_m) {
+            return wrong("far", far_m, "finite and greater than near");
+        }
+        Ok(Self { near_m, far_m })
+    }
+
+    /// `d = 1 − clip((z̄ − near) / (far − near), 0, 1)`; 0 without a valid depth.
+    pub fn proximity(&self, region: &RegionDepth) -> f32 {
+        region.mean_m.map_or(0.0, |z| (1.0 - ((z - self.near_m) / (self.far_m - self.near_m)).clamp(0.0, 1.0)) as f32)
+    }
+}
+
+impl Default for DepthRange {
+    /// The supplement's 0.3 and 1.2 m.
+    fn default() -> Self {
+        Self { near_m: 0.3, far_m: 1.2 }
+    }
+}
+
 /// A region with fewer pixels is not valid.
 pub const MIN_REGION_PX: usize = 500;
 
@@ -20,12 +52,7 @@ pub struct RegionDepth {
 }
 
 impl RegionDepth {
-    /// `d = 1 − clip((z̄ − 0.3) / (1.2 − 0.3), 0, 1)`; 0 without a valid depth.
-    pub fn proximity(&self) -> f32 {
-        self.mean_m.map_or(0.0, |z| (1.0 - ((z - NEAR_M) / (FAR_M - NEAR_M)).clamp(0.0, 1.0)) as f32)
-    }
-
-    /// Whether the region has enough pixels to set a grounding score.
+    /// Whether the region has enough pixels to be a candidate.
     pub fn is_valid(&self, min_region_px: usize) -> bool {
         self.pixels >= min_region_px
     }
@@ -61,7 +88,7 @@ mod tests {
     #[test]
     fn proximity_falls_from_near_to_far() {
         for (z, d) in [(0.1, 1.0), (0.3, 1.0), (0.75, 0.5), (1.2, 0.0), (5.0, 0.0)] {
-            assert!((region(&[z], &[true]).proximity() - d).abs() < 1e-6, "{z}");
+            assert!((DepthRange::default().proximity(&region(&[z], &[true])) - d).abs() < 1e-6, "{z}");
         }
     }
 
@@ -76,8 +103,9 @@ mod tests {
     #[test]
     fn no_valid_depth_is_zero() {
         assert_eq!(region(&[f32::NAN, 0.0], &[true; 2]), RegionDepth { pixels: 2, mean_m: None });
-        assert_eq!(region(&[f32::NAN, 0.0], &[true; 2]).proximity(), 0.0);
-        assert_eq!(region(&[0.4, 0.4], &[false; 2]).proximity(), 0.0);
+        let proximity = |depth: &[f32], mask: &[bool]| DepthRange::default().proximity(&region(depth, mask));
+        assert_eq!(proximity(&[f32::NAN, 0.0], &[true; 2]), 0.0);
+        assert_eq!(proximity(&[0.4, 0.4], &[false; 2]), 0.0);
     }
 
     #[test]
@@ -92,5 +120,13 @@ mod tests {
         let e =
             region_depth(View::new("depth", 2, 2, &[1.0; 4]).unwrap(), View::new("mask", 4, 1, &[true; 4]).unwrap());
         assert_eq!(e.unwrap_err().to_string(), "mask must be 2x2 pixels like depth, found 4x1");
+    }
+
+    #[test]
+    fn refuses_a_range_that_does_not_fall() {
+        let text = |near, far| DepthRange::new(near, far).unwrap_err().to_string();
+        assert_eq!(text(0.5, 0.5), "far must be finite and greater than near, found 0.5");
+        assert_eq!(text(-0.1, 1.0), "near must be finite and not negative, found -0.1");
+        assert!(DepthRange::new(f64::NAN, 1.0).is_err() && DepthRange::new(0.0, f64::INFINITY).is_err());
     }
 }

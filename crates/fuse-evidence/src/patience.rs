@@ -7,7 +7,7 @@ use crate::error::EvidenceError;
 pub struct Patience {
     limit: u32,
     failures: u32,
-    best: Option<f32>,
+    best: Option<f64>,
 }
 
 impl Patience {
@@ -28,11 +28,11 @@ impl Patience {
     ///
     /// # Errors
     /// A score that is not finite; nothing is counted then.
-    pub fn observe(&mut self, score: Option<f32>) -> Result<bool, EvidenceError> {
+    pub fn observe(&mut self, score: Option<f64>) -> Result<bool, EvidenceError> {
         if let Some(s) = score
             && !s.is_finite()
         {
-            return Err(EvidenceError::OutOfRange { argument: "score", value: f64::from(s), expected: "finite" });
+            return Err(EvidenceError::OutOfRange { argument: "score", value: s, expected: "finite" });
         }
         let improved = match (score, self.best) {
             (Some(s), Some(best)) => s > best,
@@ -54,7 +54,7 @@ impl Patience {
     }
 
     /// The best score so far.
-    pub fn best(&self) -> Option<f32> {
+    pub fn best(&self) -> Option<f64> {
         self.best
     }
 
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn nan_is_refused_and_not_counted() {
         let mut p = Patience::new(1).unwrap();
-        assert_eq!(p.observe(Some(f32::NAN)).unwrap_err().to_string(), "score must be finite, found NaN");
+        assert_eq!(p.observe(Some(f64::NAN)).unwrap_err().to_string(), "score must be finite, found NaN");
         assert!(!p.exhausted());
         assert!(Patience::new(0).is_err());
     }

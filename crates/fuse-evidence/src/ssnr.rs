@@ -157,7 +157,7 @@ fn invert(values: &mut [f32], alpha: f32) {
 fn check(options: &SsnrOptions) -> Result<(), EvidenceError> {
     let (range, missing) = (options.gray_range, options.missing_db);
     in_range("gray_range", range, range.is_finite() && range > 0.0, "positive and finite")?;
-    in_range("missing", missing, (-CLIP_DB..=CLIP_DB).contains(&missing), "in [-30, 30] dB")
+    in_range("missing_db", missing, (-CLIP_DB..=CLIP_DB).contains(&missing), "in [-30, 30] dB")
 }
 
 fn compare(

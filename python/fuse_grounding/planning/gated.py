@@ -43,7 +43,7 @@ class Gated:
             predicted = np.asarray(self._planner.values(situation.rgb, situation.candidates), np.float32)
             values = np.where(situation.feasible, predicted, np.nan)
             entropy = evidence.action_entropy(
-                predicted, temperature=self._gate.temperature, feasible=situation.feasible
+                predicted, temperature=self._gate.temperature, mask=situation.feasible
             )
         if entropy <= self._gate.eta:
             reason = f"entropy {entropy:.3f} <= {self._gate.eta}"

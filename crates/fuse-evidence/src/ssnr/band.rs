@@ -1,10 +1,10 @@
 //! One band of rows, from pixels to SSNR, in one pass over rows that stay in the cache.
 
-use std::mem::take;
+use std::mem::swap;
 
 use super::Gradient;
 use super::grey::GreySource;
-use super::rows::{self, History, RADIUS, reflect};
+use super::rows::{self, History, RADIUS, Row, reflect};
 use crate::view::View;
 
 /// What is written for window sums `A` and `B`.
@@ -40,20 +40,20 @@ pub struct Band {
 /// three neighbours of a row, reflected or not, never share a slot.
 struct GreyRing<'a, S> {
     source: &'a S,
-    rows: [Vec<f32>; 4],
+    rows: [Row; 4],
     held: [Option<usize>; 4],
 }
 
 impl<'a, S: GreySource> GreyRing<'a, S> {
     fn new(source: &'a S, width: usize) -> Self {
-        Self { source, rows: std::array::from_fn(|_| vec![0.0; width + 2]), held: [None; 4] }
+        Self { source, rows: std::array::from_fn(|_| Row::new(width + 2, 1)), held: [None; 4] }
     }
 
     /// Makes the row if it is not there.
     #[inline(always)]
     fn load<const FMA: bool>(&mut self, y: usize) {
         if self.held[y % 4] != Some(y) {
-            let row = &mut self.rows[y % 4];
+            let row = self.rows[y % 4].get_mut();
             let n = row.len() - 1;
             self.source.row::<FMA>(y, &mut row[1..n]);
             rows::reflect_ends(row, 1);
@@ -66,56 +66,58 @@ impl<'a, S: GreySource> GreyRing<'a, S> {
     fn around<const FMA: bool>(&mut self, y: usize, height: usize) -> [&[f32]; 3] {
         let above = reflect(y as isize - 1, height);
         let below = reflect(y as isize + 1, height);
-        for row in [above, y, below] {
-            self.load::<FMA>(row);
-        }
-        [above, y, below].map(|row| self.rows[row % 4].as_slice())
+        self.load::<FMA>(above);
+        self.load::<FMA>(y);
+        self.load::<FMA>(below);
+        [self.rows[above % 4].get(), self.rows[y % 4].get(), self.rows[below % 4].get()]
     }
 }
 
 /// Window sums of one quantity, fed row by row.
 struct Windows {
     /// The current row, padded by [`RADIUS`] at both ends.
-    row: Vec<f32>,
+    row: Row,
     /// Its horizontal triples.
-    triples: Vec<f32>,
+    triples: Row,
     /// Horizontal sums of the last eleven rows.
-    sums: [Vec<f32>; 11],
+    sums: [Row; 11],
     /// Vertical triples of the last seven.
-    vertical: [Vec<f32>; 7],
+    vertical: [Row; 7],
+    /// Where the next horizontal sum and vertical triple are written.
+    next: (Row, Row),
     /// Sums over the last eleven rows.
-    window: Vec<f32>,
+    window: Row,
 }
 
 impl Windows {
     fn new(width: usize) -> Self {
-        let zeros = |n| vec![0.0; n];
         Self {
-            row: zeros(width + 2 * RADIUS),
-            triples: zeros(width + 2 * RADIUS - 2),
-            sums: std::array::from_fn(|_| zeros(width)),
-            vertical: std::array::from_fn(|_| zeros(width)),
-            window: zeros(width),
+            row: Row::new(width + 2 * RADIUS, RADIUS),
+            triples: Row::new(width + 2 * RADIUS - 2, 0),
+            sums: std::array::from_fn(|_| Row::new(width, 0)),
+            vertical: std::array::from_fn(|_| Row::new(width, 0)),
+            next: (Row::new(width, 0), Row::new(width, 0)),
+            window: Row::new(width, 0),
         }
     }
 
     /// Adds the current row as the `i`-th.
     #[inline(always)]
     fn push(&mut self, i: usize) {
-        rows::reflect_ends(&mut self.row, RADIUS);
-        rows::triples(&self.row, &mut self.triples);
+        rows::reflect_ends(self.row.get_mut(), RADIUS);
+        rows::triples(self.row.get(), self.triples.get_mut());
         // Slots of rows that do not exist yet hold zeros or sums that are not read further.
-        let ago = |n: usize| (i + 77 - n) % 11;
-        let triple_ago = |n: usize| (i + 77 - n) % 7;
-        let mut sum = take(&mut self.sums[ago(0)]);
-        let mut triple = take(&mut self.vertical[triple_ago(0)]);
+        let sum = |ago: usize| (i + 77 - ago) % 11;
+        let triple = |ago: usize| (i + 77 - ago) % 7;
+        let sums = |ago| self.sums[sum(ago)].get();
         let history = History {
-            rows: [1, 2, 9, 10].map(|n| self.sums[ago(n)].as_slice()),
-            triples: [3, 6].map(|n| self.vertical[triple_ago(n)].as_slice()),
+            rows: [sums(1), sums(2), sums(9), sums(10)],
+            triples: [self.vertical[triple(3)].get(), self.vertical[triple(6)].get()],
         };
-        rows::windows(&self.row, &self.triples, &history, &mut sum, &mut triple, &mut self.window);
-        self.sums[ago(0)] = sum;
-        self.vertical[triple_ago(0)] = triple;
+        let (next_sum, next_triple) = (self.next.0.get_mut(), self.next.1.get_mut());
+        rows::windows(self.row.get(), self.triples.get(), &history, next_sum, next_triple, self.window.get_mut());
+        swap(&mut self.sums[sum(0)], &mut self.next.0);
+        swap(&mut self.vertical[triple(0)], &mut self.next.1);
     }
 }
 
@@ -155,15 +157,15 @@ impl Band {
                 observed.around::<FMA>(y, self.height),
                 rendered.around::<FMA>(y, self.height),
                 self.gradient,
-                &mut signal.row[inner.clone()],
-                &mut noise.row[inner.clone()],
+                &mut signal.row.get_mut()[inner.clone()],
+                &mut noise.row.get_mut()[inner.clone()],
             );
             signal.push(i);
             noise.push(i);
             // The window of row y is complete five rows below it.
             if let Some(row) = i.checked_sub(2 * RADIUS) {
                 let out = &mut out[row * self.width..(row + 1) * self.width];
-                self.finish::<FMA>(&signal.window, &noise.window, out);
+                self.finish::<FMA>(signal.window.get(), noise.window.get(), out);
             }
         }
     }

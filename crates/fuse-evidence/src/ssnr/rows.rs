@@ -13,6 +13,37 @@ fn fma<const FMA: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FMA { a.mul_add(b, c) } else { a * b + c }
 }
 
+/// Floats of a row, one of them at the start of a cache line: a load or store of eight floats that
+/// straddles two lines costs twice.
+pub struct Row {
+    data: Vec<f32>,
+    start: usize,
+    len: usize,
+}
+
+impl Row {
+    /// `len` zeros, the one at `aligned` at the start of a line.
+    pub fn new(len: usize, aligned: usize) -> Self {
+        const LINE: usize = 64 / size_of::<f32>();
+        let data = vec![0.0; len + 2 * LINE];
+        // The heap block stays where it is for as long as the vector is not grown.
+        let first = data.as_ptr().align_offset(64).min(LINE);
+        Self { data, start: first + (LINE - aligned % LINE) % LINE, len }
+    }
+
+    /// The floats.
+    #[inline(always)]
+    pub fn get(&self) -> &[f32] {
+        &self.data[self.start..self.start + self.len]
+    }
+
+    /// The floats.
+    #[inline(always)]
+    pub fn get_mut(&mut self) -> &mut [f32] {
+        &mut self.data[self.start..self.start + self.len]
+    }
+}
+
 /// Index into `0..n` of `i` reflected at the borders without repeating them, as often as needed.
 pub fn reflect(i: isize, n: usize) -> usize {
     let last = n as isize - 1;
@@ -26,6 +57,13 @@ pub fn reflect(i: isize, n: usize) -> usize {
 /// Fills `pad` elements at each end of `row` by reflection of what lies between.
 pub fn reflect_ends(row: &mut [f32], pad: usize) {
     let n = row.len() - 2 * pad;
+    if n > pad {
+        for k in 1..=pad {
+            row[pad - k] = row[pad + k];
+            row[pad + n - 1 + k] = row[pad + n - 1 - k];
+        }
+        return;
+    }
     for k in 1..=pad {
         row[pad - k] = row[pad + reflect(-(k as isize), n)];
         row[pad + n - 1 + k] = row[pad + reflect((n - 1 + k) as isize, n)];
@@ -58,8 +96,8 @@ pub fn gradients<const FMA: bool>(
 ) {
     let n = signal.len();
     let noise = &mut noise[..n];
-    let [ia, ib, ic] = observed.map(|r| &r[..n + 2]);
-    let [ra, rb, rc] = rendered.map(|r| &r[..n + 2]);
+    let [ia, ib, ic] = [&observed[0][..n + 2], &observed[1][..n + 2], &observed[2][..n + 2]];
+    let [ra, rb, rc] = [&rendered[0][..n + 2], &rendered[1][..n + 2], &rendered[2][..n + 2]];
     match gradient {
         Gradient::Magnitude => {
             for x in 0..n {
@@ -122,8 +160,9 @@ pub fn windows(
 ) {
     let n = window.len();
     let (row, triples) = (&row[..n + 10], &triples[..n + 8]);
-    let [r1, r2, r9, r10] = history.rows.map(|r| &r[..n]);
-    let [t3, t6] = history.triples.map(|r| &r[..n]);
+    let [r1, r2, r9, r10] = history.rows;
+    let (r1, r2, r9, r10) = (&r1[..n], &r2[..n], &r9[..n], &r10[..n]);
+    let (t3, t6) = (&history.triples[0][..n], &history.triples[1][..n]);
     let (sum, triple) = (&mut sum[..n], &mut triple[..n]);
     for x in 0..n {
         let s = eleven(row, triples, x);
@@ -159,7 +198,7 @@ pub fn decibels<const FMA: bool>(
     offset: f32,
     out: &mut [f32],
 ) {
-    const DB_PER_OCTAVE: f32 = 3.010_299_9;
+    const DB_PER_OCTAVE: f32 = 3.010_3;
     let n = out.len();
     let (signal, noise) = (&signal[..n], &noise[..n]);
     for x in 0..n {

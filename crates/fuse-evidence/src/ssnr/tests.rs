@@ -219,7 +219,7 @@ fn refuses_other_sizes_nan_and_bad_options() {
     );
     assert_eq!(
         text(ok, SsnrOptions { missing_db: 31.0, ..Default::default() }),
-        "missing must be in [-30, 30] dB, found 31"
+        "missing_db must be in [-30, 30] dB, found 31"
     );
 }
 
