@@ -6,6 +6,7 @@ use std::str::FromStr;
 
 use fuse_render::{Model, ModelError};
 use glam::{Quat, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 macro_rules! categories {
@@ -336,17 +337,19 @@ pub fn write(directory: impl AsRef<Path>, categories: &[Category]) -> Result<Vec
         move |source| CatalogueError::Io { path, source }
     };
     std::fs::create_dir_all(directory).map_err(io(directory))?;
-    let mut objects = vec![];
-    for &category in categories {
-        for split in Split::ALL {
-            for index in 0..split.instances() {
-                let (record, model) = make(category, split, index);
-                let path = directory.join(&record.file);
-                std::fs::write(&path, fuse_render::to_glb(&model)).map_err(io(&path))?;
-                objects.push(record);
-            }
-        }
-    }
+    let jobs: Vec<(Category, Split, u64)> = categories
+        .iter()
+        .flat_map(|&c| Split::ALL.into_iter().flat_map(move |s| (0..s.instances()).map(move |i| (c, s, i))))
+        .collect();
+    let objects = jobs
+        .into_par_iter()
+        .map(|(category, split, index)| {
+            let (record, model) = make(category, split, index);
+            let path = directory.join(&record.file);
+            std::fs::write(&path, fuse_render::to_glb(&model)).map_err(io(&path))?;
+            Ok(record)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
     let path = directory.join("catalogue.json");
     let file = File { version: VERSION, licence: "CC0-1.0".into(), objects };
     let mut text = serde_json::to_string_pretty(&file)

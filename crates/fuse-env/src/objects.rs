@@ -11,6 +11,7 @@ pub mod dice;
 pub mod finish;
 pub mod hull;
 mod pouring;
+pub mod preview;
 pub mod resting;
 mod scissors;
 pub mod shape;
@@ -57,11 +58,6 @@ impl Workshop {
 
     /// Lets the thing come to rest.
     fn settle(&mut self) {
-        resting::settle(&mut self.model);
-    }
-
-    /// For things that stand on a flat foot: they are in their natural pose already.
-    fn place(&mut self) {
         resting::settle(&mut self.model);
     }
 }

@@ -6,6 +6,7 @@ mod enter;
 mod env;
 mod error;
 mod evidence;
+mod objects;
 mod render;
 mod splat;
 
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     error::register(module)?;
     render::register(module)?;
     env::register(module)?;
+    objects::register(module)?;
     evidence::register(module)?;
     splat::register(module)
 }

@@ -58,10 +58,12 @@ pub fn knife(w: &mut Workshop) {
         let s = if drop > 0.9 { ((t - 0.72) / 0.28).clamp(0.0, 1.0).powi(2) } else { t.powf(2.0 + 3.0 * drop) };
         top + (tip - top + 0.0004) * s
     };
-    let body = blade((0.0, length), edge, spine, move |t| half * (1.0 - 0.6 * t), w.dice.any(0.28, 0.42));
-    let (lit, flat) = body.split(|c, _| {
+    let ground = w.dice.any(0.16, 0.26);
+    let body = blade((0.0, length), edge, spine, move |t| half * (1.0 - 0.6 * t), ground);
+    // The ground strip is lit differently.
+    let (lit, flat) = body.split(|c, n| {
         let t = (c.x / length).clamp(0.0, 1.0);
-        c.y < edge(t) + (spine(t) - edge(t)) * 0.2 && t > 0.01
+        n.x.abs() < 0.9 && c.y < edge(t) + (spine(t) - edge(t)) * ground * 0.9
     });
     let metal = w.material(steel);
     w.add(flat.map_uv(|p, _| Vec2::new(p.x / 0.06, p.y / 0.06)), metal, 25.0);

@@ -126,7 +126,7 @@ impl Dice {
 
     /// A lively colour.
     pub fn vivid(&mut self) -> Vec3 {
-        self.color((0.65, 0.95), (0.5, 0.9))
+        self.color((0.5, 0.93), (0.32, 0.9))
     }
 
     /// A tint of a tone, each channel multiplied by up to `by` either way.

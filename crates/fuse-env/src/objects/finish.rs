@@ -39,14 +39,14 @@ pub fn density(name: &str) -> f32 {
 pub fn steel(dice: &mut Dice) -> Material {
     let family = dice.family(&finishes(Stuff::Steel));
     let noise = Noise(dice.seed());
-    let level = dice.any(0.66, 0.82);
+    let level = dice.any(0.78, 0.90);
     let (tone, contrast, roughness) = match family {
-        "brushed" => (Vec3::new(1.0, 1.0, 1.01), 0.14, 0.38),
-        "satin" => (Vec3::new(1.0, 1.0, 1.0), 0.06, 0.45),
-        "polished" => (Vec3::new(1.0, 1.01, 1.03), 0.04, 0.22),
+        "brushed" => (Vec3::new(1.0, 1.0, 1.01), 0.12, 0.34),
+        "satin" => (Vec3::new(1.0, 1.0, 1.0), 0.05, 0.40),
+        "polished" => (Vec3::new(1.0, 1.01, 1.03), 0.03, 0.20),
         "dull" => (Vec3::new(0.86, 0.87, 0.88), 0.10, 0.55),
         "warm" => (Vec3::new(1.05, 1.0, 0.92), 0.08, 0.40),
-        _ => (Vec3::new(0.98, 1.0, 1.02), 0.16, 0.35),
+        _ => (Vec3::new(0.98, 1.0, 1.02), 0.08, 0.30),
     };
     let canvas = Canvas::new(64, 64, Vec3::ZERO).each(|uv, _| {
         let scratch = if family == "hammered" {
@@ -56,7 +56,7 @@ pub fn steel(dice: &mut Dice) -> Material {
         };
         tone * (level + contrast * (scratch - 0.5))
     });
-    material("steel", &canvas, 0.6, roughness)
+    material("steel", &canvas, 0.85, roughness)
 }
 
 /// Steel a shade lighter, for ground edges: the same family is not needed at their size.
@@ -149,7 +149,7 @@ pub fn plastic(dice: &mut Dice, color: Vec3) -> Material {
     let canvas = Canvas::new(64, 64, color).each(|uv, c| match family {
         "grained" => c * (0.9 + 0.2 * noise.smooth(uv, (32, 32))),
         "marbled" => c.lerp(Vec3::ONE, 0.45 * (TAU * (uv.x + 1.5 * noise.cloud(uv, (2, 2)))).sin().abs().powi(6)),
-        "flecked" => c.lerp(Vec3::splat(0.92), if noise.spots(uv, (14, 14)) < 0.16 { 0.8 } else { 0.0 }),
+        "flecked" => c.lerp(Vec3::splat(0.8), if noise.spots(uv, (14, 14)) < 0.16 { 0.35 } else { 0.0 }),
         _ => c * (0.98 + 0.04 * noise.smooth(uv, (8, 8))),
     });
     material("plastic", &canvas, 0.0, 0.4)

@@ -11,9 +11,19 @@ pub struct Hull {
     pub points: Vec<DVec3>,
     /// Faces, counter-clockwise from outside.
     pub faces: Vec<[usize; 3]>,
-    /// The vertices in units of [`GRID`], so that predicates can be exact.
-    lattice: Vec<[i64; 3]>,
 }
+
+/// A face while the hull grows.
+#[derive(Clone, Copy)]
+struct Facet {
+    at: [usize; 3],
+    /// Unscaled normal, and the largest error of its products with offsets of unit size.
+    normal: DVec3,
+    doubt: f64,
+}
+
+/// The vertices in units of [`GRID`], so that predicates can be exact.
+struct Lattice(Vec<[i64; 3]>);
 
 /// Points closer than this are one, metres.
 const MERGE: f64 = 2e-5;
@@ -44,11 +54,12 @@ impl Hull {
             })
             .collect();
         let points: Vec<DVec3> = lattice.iter().map(|p| DVec3::from_array(p.map(|v| v as f64 * GRID))).collect();
-        let mut hull = Self { faces: tetrahedron(&points)?, points, lattice };
-        for i in 0..hull.points.len() {
-            hull.add(i);
+        let lattice = Lattice(lattice);
+        let mut facets: Vec<Facet> = tetrahedron(&points)?.into_iter().map(|at| lattice.facet(at)).collect();
+        for i in 0..points.len() {
+            lattice.add(&mut facets, i);
         }
-        Some(hull)
+        Some(Self { points, faces: facets.iter().map(|f| f.at).collect() })
     }
 
     /// Unit normal and area of a face.
@@ -57,43 +68,57 @@ impl Hull {
         let n = (b - a).cross(c - a);
         (n.normalize_or_zero(), n.length() / 2.0)
     }
+}
+
+impl Lattice {
+    fn offset(&self, from: usize, to: usize) -> [i64; 3] {
+        std::array::from_fn(|k| self.0[to][k] - self.0[from][k])
+    }
+
+    fn facet(&self, at: [usize; 3]) -> Facet {
+        let [u, v] = [at[1], at[2]].map(|i| DVec3::from_array(self.offset(at[0], i).map(|x| x as f64)));
+        Facet { at, normal: u.cross(v), doubt: 1e-14 * u.abs().max_element() * v.abs().max_element() }
+    }
 
     /// Whether a point lies strictly outside of a face: the sign of a determinant, in floating
     /// point where that is certain, else in integers.
-    fn outside(&self, face: [usize; 3], point: usize) -> bool {
-        let [a, b, c, p] = [face[0], face[1], face[2], point].map(|i| self.lattice[i]);
-        let [u, v, w]: [[i64; 3]; 3] = [b, c, p].map(|q| std::array::from_fn(|k| q[k] - a[k]));
-        let [fu, fv, fw] = [u, v, w].map(|q| DVec3::from_array(q.map(|x| x as f64)));
-        let rough = fu.cross(fv).dot(fw);
-        let bound = 1e-14 * fu.abs().max_element() * fv.abs().max_element() * fw.abs().max_element();
-        if rough.abs() > bound {
+    fn outside(&self, face: &Facet, point: usize) -> bool {
+        let w = self.offset(face.at[0], point);
+        let fw = DVec3::from_array(w.map(|x| x as f64));
+        let rough = face.normal.dot(fw);
+        if rough.abs() > face.doubt * fw.abs().max_element() {
             return rough > 0.0;
         }
-        let [u, v, w] = [u, v, w].map(|q| q.map(i128::from));
+        let [u, v, w] =
+            [self.offset(face.at[0], face.at[1]), self.offset(face.at[0], face.at[2]), w].map(|q| q.map(i128::from));
         let exact = (u[1] * v[2] - u[2] * v[1]) * w[0]
             + (u[2] * v[0] - u[0] * v[2]) * w[1]
             + (u[0] * v[1] - u[1] * v[0]) * w[2];
         exact > 0
     }
 
-    fn add(&mut self, point: usize) {
-        let (seen, kept): (Vec<[usize; 3]>, Vec<[usize; 3]>) =
-            self.faces.iter().copied().partition(|&face| self.outside(face, point));
-        if seen.is_empty() {
-            return;
-        }
-        let edges: HashSet<(usize, usize)> =
-            seen.iter().flat_map(|f| [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])]).collect();
-        let mut faces = kept;
-        for f in &seen {
-            for (a, b) in [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])] {
-                if !edges.contains(&(b, a)) {
-                    faces.push([a, b, point]);
-                }
+    /// Replaces the faces that see a point by a fan from their horizon to it.
+    fn add(&self, facets: &mut Vec<Facet>, point: usize) {
+        let mut seen = vec![];
+        facets.retain(|f| {
+            let out = self.outside(f, point);
+            if out {
+                seen.push(f.at);
+            }
+            !out
+        });
+        let edges: HashSet<(usize, usize)> = seen.iter().flat_map(|&f| sides(f)).collect();
+        for (a, b) in seen.iter().flat_map(|&f| sides(f)) {
+            if !edges.contains(&(b, a)) {
+                facets.push(self.facet([a, b, point]));
             }
         }
-        self.faces = faces;
     }
+}
+
+/// The directed edges of a face.
+pub fn sides(f: [usize; 3]) -> [(usize, usize); 3] {
+    [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])]
 }
 
 /// Four faces around far apart points.

@@ -54,15 +54,15 @@ pub fn pitcher(w: &mut Workshop) {
         n.dot(out) < -0.2 || (n.z > 0.3 && c.z < height * 0.5)
     });
     let kind = w.dice.unit();
-    let skin = if kind < 0.65 {
+    let skin = if kind < 0.74 {
         w.material(ceramic)
-    } else if kind < 0.82 {
+    } else if kind < 0.86 {
         w.material(steel)
     } else {
         let tone = w.dice.color((0.2, 0.7), (0.6, 0.95));
         w.material(|d| plastic(d, tone))
     };
-    let lining = if kind < 0.65 {
+    let lining = if kind < 0.74 {
         let tone = w.dice.color((0.0, 0.15), (0.8, 0.95));
         w.material(|_| glaze(tone))
     } else {
@@ -84,7 +84,7 @@ pub fn pitcher(w: &mut Workshop) {
         w.dice.range(0.0080, 0.0115),
     );
     w.add(ear, skin, 60.0);
-    w.place();
+    w.settle();
 }
 
 /// A teapot: body, lid with knob, spout, handle.
@@ -113,7 +113,7 @@ pub fn teapot(w: &mut Workshop) {
     let mut profile = vec![Vec2::new(0.0, 0.0)];
     profile.extend_from_slice(&outer);
     profile.push(Vec2::new(0.0, height));
-    let skin = if w.dice.chance(0.8) { w.material(ceramic) } else { w.material(steel) };
+    let skin = if w.dice.chance(0.86) { w.material(ceramic) } else { w.material(steel) };
     w.add(around(revolve(&profile, 40), height), skin, 45.0);
     teapot_lid(w, r * mouth, height, skin);
     let low = height * w.dice.range(0.28, 0.42);
@@ -148,7 +148,7 @@ pub fn teapot(w: &mut Workshop) {
         w.dice.range(0.0065, 0.0090),
     );
     w.add(ear, skin, 60.0);
-    w.place();
+    w.settle();
 }
 
 fn teapot_lid(w: &mut Workshop, mouth: f32, height: f32, skin: usize) {
@@ -276,7 +276,7 @@ pub fn water_bottle(w: &mut Workshop) {
     });
     w.add(around(body, height), skin, 45.0);
     bottle_cap(w, neck, height, shape);
-    w.place();
+    w.settle();
 }
 
 fn bottle_cap(w: &mut Workshop, neck: f32, height: f32, shape: &str) {

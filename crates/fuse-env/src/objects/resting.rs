@@ -11,7 +11,7 @@ use fuse_render::Model;
 use glam::{DQuat, DVec3, Quat, Vec3};
 
 use super::finish::density;
-use super::hull::Hull;
+use super::hull::{Hull, sides};
 use crate::catalogue::RestingPose;
 
 /// Poses closer than this are one, degrees.
@@ -50,7 +50,7 @@ struct Support {
 fn supports(hull: &Hull, centre: DVec3) -> Vec<Support> {
     let mut across: HashMap<(usize, usize), usize> = HashMap::new();
     for (i, f) in hull.faces.iter().enumerate() {
-        for (a, b) in [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])] {
+        for (a, b) in sides(*f) {
             across.insert((a, b), i);
         }
     }
@@ -92,7 +92,7 @@ fn roll(hull: &Hull, across: &HashMap<(usize, usize), usize>, centre: DVec3, mut
     for _ in 0..hull.faces.len() {
         let f = hull.faces[i];
         let (normal, _) = hull.plane(f);
-        let beyond = [(f[0], f[1]), (f[1], f[2]), (f[2], f[0])].map(|(a, b)| {
+        let beyond = sides(f).map(|(a, b)| {
             let inward = normal.cross((hull.points[b] - hull.points[a]).normalize_or_zero());
             (-(centre - hull.points[a]).dot(inward), (b, a))
         });

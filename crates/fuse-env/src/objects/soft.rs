@@ -87,7 +87,7 @@ fn fold_path(shape: &str, width: f32, t: f32, layers: usize) -> Vec<Vec2> {
     let mut path = vec![];
     if shape == "rolled" {
         let turns = 3.2;
-        let (inner, steps) = (t * 0.9, 72);
+        let (inner, steps) = (t * 0.9, 56);
         for i in 0..=steps {
             let a = TAU * turns * i as f32 / steps as f32;
             let r = inner + t * 1.06 * a / TAU;
@@ -124,6 +124,7 @@ pub fn towel(w: &mut Workshop) {
         "wide" => (w.dice.range(0.22, 0.25), w.dice.range(0.13, 0.15), 3),
         "rolled" => (0.0, w.dice.range(0.19, 0.23), 1),
         "tall" => (w.dice.range(0.16, 0.18), w.dice.range(0.19, 0.21), 5),
+        "runner" => (w.dice.range(0.105, 0.115), w.dice.range(0.24, 0.27), 3),
         _ => (w.dice.range(0.16, 0.22), w.dice.range(0.16, 0.21), 4),
     };
     let t = w.dice.range(0.0055, 0.0085);

@@ -207,7 +207,7 @@ pub fn ruler(w: &mut Workshop) {
         "plastic"
     };
     let paint = w.material(|_| material(name, &canvas, metallic, 0.45));
-    let outline = rounded_rectangle(length / 2.0, wide / 2.0, if shape == "grip" { 0.008 } else { 0.002 }, 3);
+    let outline = rounded_rectangle(length / 2.0, wide / 2.0, if shape == "grip" { 0.008 } else { 0.002 }, 16);
     let bevel = if shape == "beveled" || shape == "grip" { thick * 0.45 } else { 0.0003 };
     let body = extrude(&outline, 0.0, thick, bevel).map_uv(|p, _| Vec2::new(p.x / length + 0.5, 0.5 - p.y / wide));
     w.add(body, paint, 30.0);
@@ -301,16 +301,16 @@ pub fn book(w: &mut Workshop) {
     let round = if soft { 0.0008 } else { w.dice.range(0.001, 0.006) };
     for (z, flip) in [(0.0, true), (thick - board, false)] {
         let plate =
-            extrude(&rounded_rectangle(wide / 2.0, long / 2.0, 0.0015, 2), 0.0, board, board * 0.2).moved(Vec3::Z * z);
+            extrude(&rounded_rectangle(wide / 2.0, long / 2.0, 0.0015, 4), 0.0, board, board * 0.2).moved(Vec3::Z * z);
         let plate = plate.map_uv(|p, _| {
             let u = if flip { 0.5 - p.x / wide } else { 0.5 + p.x / wide };
             Vec2::new(u * 5.0 / 6.0 * 0.98 + 0.005, 0.5 - p.y / long)
         });
         w.add(plate, paint, 35.0);
     }
-    let arc: Vec<Vec2> = (0..=8)
+    let arc: Vec<Vec2> = (0..=16)
         .map(|k| {
-            let t = k as f32 / 8.0;
+            let t = k as f32 / 16.0;
             Vec2::new(-wide / 2.0 - round * (std::f32::consts::PI * t).sin(), thick * t)
         })
         .collect();
@@ -325,7 +325,7 @@ pub fn book(w: &mut Workshop) {
     let leaves = Canvas::new(32, 128, tone).each(|uv, c| c * (0.72 + 0.28 * noise.smooth(uv, (2, 64))));
     let paper = w.material(|_| material("paper", &leaves, 0.0, 0.9));
     let inner = thick - 2.0 * board;
-    let block = extrude(&rounded_rectangle((wide - over) / 2.0, long / 2.0 - over, 0.0006, 1), 0.0, inner, 0.0)
+    let block = extrude(&rounded_rectangle((wide - over) / 2.0, long / 2.0 - over, 0.0006, 4), 0.0, inner, 0.0)
         .map(|p| {
             Vec3::new(
                 p.x - over / 2.0 - if p.x > 0.0 { hollow * (1.0 - (2.0 * p.z / inner - 1.0).powi(2)) } else { 0.0 },

@@ -54,7 +54,7 @@ pub const fn shapes(category: Category) -> Families {
         C::Mallet => families(&["block", "drum", "two_faced"], &["barrel"], &["dead_blow", "wedge"]),
         C::Screwdriver => families(&["fluted", "bulb", "cushion"], &["hexagonal"], &["stubby", "slim"]),
         C::Sponge => families(&["slab", "waisted", "rounded"], &["thick"], &["oval", "wavy"]),
-        C::Towel => families(&["half", "thirds", "quarter"], &["wide"], &["rolled", "tall"]),
+        C::Towel => families(&["half", "thirds", "quarter", "rolled"], &["wide"], &["tall", "runner"]),
         C::Book => families(&["hardcover", "paperback", "thick"], &["square"], &["pocket", "tome"]),
     }
 }

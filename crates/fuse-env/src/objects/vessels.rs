@@ -68,7 +68,7 @@ pub fn mug(w: &mut Workshop) {
         let out = Vec3::new(c.x, c.y, 0.0).normalize_or_zero();
         n.dot(out) < -0.2 || (n.z > 0.3 && c.z < height * 0.7)
     });
-    let metal = w.dice.chance(0.12);
+    let metal = w.dice.chance(0.08);
     let skin = if metal { w.material(steel) } else { w.material(ceramic) };
     w.add(outside, skin, 50.0);
     let lining = if metal {
@@ -89,7 +89,7 @@ pub fn mug(w: &mut Workshop) {
     let ear = handle(Vec2::new(at(z.0), z.0), Vec2::new(at(z.1), z.1), out, w.dice.range(0.0, 1.0), thick, wide);
     let stuff = if w.dice.chance(0.8) { skin } else { lining };
     w.add(ear, stuff, 60.0);
-    w.place();
+    w.settle();
 }
 
 /// Radius of an outer profile at a height.
@@ -150,7 +150,9 @@ pub fn bowl(w: &mut Workshop) {
     } else {
         skin
     };
-    w.add(outside, skin, 50.0);
-    w.add(inside, lining, 50.0);
-    w.place();
+    // What has a grain or scratches shows them at their true size.
+    let flat = |s: Surface| if (0.70..0.90).contains(&kind) { s.uv_box(Vec2::new(0.10, 0.20)) } else { s };
+    w.add(flat(outside), skin, 50.0);
+    w.add(flat(inside), lining, 50.0);
+    w.settle();
 }

@@ -1,0 +1,134 @@
+//! The object catalogue: generating, listing, preview pictures.
+
+use fuse_env::catalogue::{self, Category, ObjectRecord, Split};
+use fuse_env::objects::preview::preview;
+use numpy::PyArray3;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::array::into_3d;
+use crate::enter::enter;
+use crate::error::input;
+
+/// A folder with `catalogue.json` and the model files that it names.
+///
+/// ObjectCatalogue(directory)
+///
+/// Raises InputError that names the file when something is missing or not what it should be.
+#[pyclass(frozen, module = "fuse_grounding")]
+pub struct ObjectCatalogue {
+    inner: catalogue::Catalogue,
+}
+
+impl ObjectCatalogue {
+    fn record(&self, id: &str) -> PyResult<&ObjectRecord> {
+        self.inner.get(id).ok_or_else(|| input(format!("the catalogue has no object `{id}`")))
+    }
+}
+
+#[pymethods]
+impl ObjectCatalogue {
+    #[new]
+    fn new(py: Python<'_>, directory: &str) -> PyResult<Self> {
+        Ok(Self { inner: enter(py, || catalogue::Catalogue::load(directory))? })
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.records().len()
+    }
+
+    /// All objects as dictionaries: id, category, split, file, size_m, seed, resting (a list of
+    /// dictionaries with quaternion [x, y, z, w], height, probability).
+    fn records<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let rows = self.inner.records().iter().map(|r| row(py, r)).collect::<PyResult<Vec<_>>>()?;
+        PyList::new(py, rows)
+    }
+
+    /// Where an object's model file lies.
+    fn path(&self, id: &str) -> PyResult<String> {
+        Ok(self.inner.path(self.record(id)?).display().to_string())
+    }
+
+    /// (pixels, pixels, 3) uint8 sRGB picture of an object in its `pose`-th resting pose, turned
+    /// by `yaw` radians, on a plain table.
+    #[pyo3(signature = (id, pixels=160, yaw=0.5, pose=0))]
+    fn preview<'py>(
+        &self,
+        py: Python<'py>,
+        id: &str,
+        pixels: u32,
+        yaw: f32,
+        pose: usize,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let record = self.record(id)?;
+        if !(16..=2048).contains(&pixels) || !yaw.is_finite() {
+            return Err(input(format!("pixels must be in 16 to 2048 and yaw finite, found {pixels} and {yaw}")));
+        }
+        let Some(resting) = record.resting.get(pose) else {
+            return Err(input(format!("`{id}` has {} resting poses, no pose {pose}", record.resting.len())));
+        };
+        let model = enter(py, || self.inner.model(record))?;
+        let picture = enter(py, || preview(&model, resting, yaw, pixels))?;
+        into_3d(py, picture.as_slice().as_flattened().to_vec(), pixels, pixels, 3)
+    }
+}
+
+fn row<'py>(py: Python<'py>, record: &ObjectRecord) -> PyResult<Bound<'py, PyDict>> {
+    let poses = record
+        .resting
+        .iter()
+        .map(|pose| {
+            let d = PyDict::new(py);
+            d.set_item("quaternion", pose.quaternion)?;
+            d.set_item("height", pose.height)?;
+            d.set_item("probability", pose.probability)?;
+            Ok(d)
+        })
+        .collect::<PyResult<Vec<_>>>()?;
+    let d = PyDict::new(py);
+    d.set_item("id", &record.id)?;
+    d.set_item("category", record.category.id())?;
+    d.set_item("split", record.split.id())?;
+    d.set_item("file", &record.file)?;
+    d.set_item("size_m", record.size_m)?;
+    d.set_item("seed", record.seed)?;
+    d.set_item("resting", poses)?;
+    Ok(d)
+}
+
+/// (id, label for people) of every category that can be generated.
+#[pyfunction]
+fn object_categories() -> Vec<(&'static str, &'static str)> {
+    Category::ALL.iter().map(|c| (c.id(), c.label())).collect()
+}
+
+/// Writes a catalogue of generated objects into a folder: a GLB each and catalogue.json, the
+/// same bytes every time. `categories`: ids, every one when None. Returns the objects' ids.
+#[pyfunction]
+#[pyo3(signature = (directory, categories=None))]
+fn write_objects(py: Python<'_>, directory: &str, categories: Option<Vec<String>>) -> PyResult<Vec<String>> {
+    let chosen = match categories {
+        None => Category::ALL.to_vec(),
+        Some(ids) => {
+            ids.iter().map(|id| id.parse().map_err(|e| input(format!("{e}")))).collect::<PyResult<Vec<Category>>>()?
+        }
+    };
+    let records = enter(py, || catalogue::write(directory, &chosen))?;
+    Ok(records.into_iter().map(|r| r.id).collect())
+}
+
+/// Writes one generated object, any seed, as a GLB.
+#[pyfunction]
+fn write_object(py: Python<'_>, path: &str, category: &str, split: &str, seed: u64) -> PyResult<()> {
+    let category: Category = category.parse().map_err(|e| input(format!("{e}")))?;
+    let split: Split = split.parse().map_err(|e| input(format!("{e}")))?;
+    enter(py, || fuse_render::save_glb(&fuse_env::objects::generate(category, split, seed), path))
+}
+
+/// Adds this file's classes and functions to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<ObjectCatalogue>()?;
+    module.add_function(wrap_pyfunction!(object_categories, module)?)?;
+    module.add_function(wrap_pyfunction!(write_objects, module)?)?;
+    module.add_function(wrap_pyfunction!(write_object, module)?)
+}
