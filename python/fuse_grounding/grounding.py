@@ -94,7 +94,6 @@ def score(
 
     Without a depth picture the depth term is off: r = w_s s.
     """
-    weight_s, weight_d = stopping.weights
     scored = []
     for detection in detections:
         pixels = int(np.count_nonzero(detection.mask))
@@ -107,9 +106,13 @@ def score(
                 far=stopping.far_m,
                 min_pixels=stopping.min_region_px,
             )
-        fused = None
-        if pixels >= stopping.min_region_px:
-            fused = weight_s * detection.score + weight_d * (proximity or 0.0)
+        fused = evidence.grounding_score(
+            detection.score,
+            proximity,
+            pixels,
+            weights=stopping.weights,
+            min_pixels=stopping.min_region_px,
+        )
         scored.append(Scored(detection, pixels, proximity, fused))
     return scored
 

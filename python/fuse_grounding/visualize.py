@@ -43,7 +43,8 @@ def heat(rgb: np.ndarray, values: np.ndarray, top: float) -> np.ndarray:
     grey = cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2BGR)
     level = np.clip(values / top, 0, 1)
     colours = cv2.applyColorMap(np.rint(level * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    image = cv2.addWeighted(grey, 0.3, colours, 0.7, 0)
+    opacity = (0.25 + 0.55 * level)[..., None]  # where there is nothing, the picture shows
+    image = np.rint(0.7 * (1 - opacity) * grey + opacity * colours).astype(np.uint8)
     return _scale(image, top)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from fuse_grounding.errors import InputError
 HEADING = {"episodes": ["a", "b"], "config": {"gate": {"eta": 0.8}}}
 
 
-def row(method: str, episode: str, status: str = "ok", **more: object) -> dict[str, object]:
+def row(method: str, episode: str, status: str = "ok", **more: Any) -> dict[str, Any]:
     return {"method": method, "episode_id": episode, "status": status, **more}
 
 
@@ -66,7 +67,7 @@ def test_lines_changed_by_hand_are_not_believed(tmp_path: Path):
 
 def test_the_summary_is_of_runs_that_went_through():
     timings = {"segment": 1.0, "refine": 3.0}
-    common = {"online_actions": 4, "total_steps": 8, "wall_seconds": 5.0, "timings": timings}
+    common: dict[str, Any] = {"online_actions": 4, "total_steps": 8, "wall_seconds": 5.0, "timings": timings}
     rows = [
         row("explicit", "a", success=True, iou=0.9, **common),
         row("explicit", "b", success=False, iou=0.1, **common),

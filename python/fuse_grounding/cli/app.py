@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -44,6 +45,8 @@ def _root(
 
 def _register() -> None:
     for name in _COMMANDS:
+        if importlib.util.find_spec(f"fuse_grounding.cli.{name}") is None:
+            continue
         module = importlib.import_module(f"fuse_grounding.cli.{name}")
         if hasattr(module, "app"):
             app.add_typer(module.app, name=name)
@@ -83,3 +86,7 @@ def execute(arguments: Sequence[str] | None = None) -> int:
 def main() -> None:
     """The `fuse` command."""
     sys.exit(execute())
+
+
+if __name__ == "__main__":
+    main()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from typing import Any
 
 from rich.console import Console
@@ -58,6 +59,8 @@ class Narrator:
         """The result, where the time went, where the pictures are."""
         for line in result_lines(result):
             self._out.print(line)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # Linux counts in KiB
+        self._out.print(f"memory      {peak:.0f} MiB at most")
         if folder is not None:
             self._out.print(f"pictures    {folder}/overview.png, {folder}/grounding.png, {folder}/steps/")
             self._out.print(f"record      {folder}/episode.json")

@@ -94,7 +94,7 @@ def evidence_maps(
         float_render=ssnr.float_render,
     )
     weights = (config.evidence.semantic_weight, config.evidence.geometric_weight)
-    unresolved = evidence.fuse(1 - semantic, geometric, 1.0, 1.0)
+    unresolved = evidence.functional_uncertainty(semantic, geometric)
     if geometry_only:
         field = geometric
     elif config.explicit.field == "uncertainty":

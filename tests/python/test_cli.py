@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fuse_grounding._core import __version__
+from fuse_grounding.cli.app import execute
+from fuse_grounding.record import EpisodeRecord
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    status = execute(arguments)
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]):
+    assert run(capsys, "--version") == (0, f"fuse {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["cut", "--method", "explict"], "unknown method `explict`; did you mean `explicit`? known: static"),
+        (["cut", "--knowledge", "grph"], "unknown knowledge source `grph`; did you mean `graph`?"),
+        (["cut", "--segmenter", "sam9"], "unknown segmenter `sam9`; known: embedded"),
+        (["cut", "--registration", "slam"], "--set registration.backend=slam: `registration.backend`: found"),
+        (["sing a song"], "no known verb in the query 'sing a song'; known: cut"),
+        (["cut", "--set", "gate.etta=1"], "--set gate.etta=1: unknown key `gate.etta`; did you mean `eta`?"),
+        (["cut", "--set", "budget.actions=-1"], "`budget.actions`: found -1, expected: greater than"),
+        (["cut", "--config", "nowhere.toml"], "config file nowhere.toml does not exist"),
+        (["cut", "--set", "segmenter.weights=none.onnx"], "none.onnx"),
+        (["cut", "--scene", "dev_kitchn"], "dev_kitchn"),
+    ],
+)
+def test_wrong_input_is_one_sentence_status_2_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], sentence: str
+):
+    out = tmp_path / "out"
+    status, stdout, stderr = run(capsys, "run", *arguments, "--out", str(out))
+    assert status == 2
+    assert stdout == ""
+    assert stderr.startswith("fuse: ")
+    assert sentence in stderr
+    assert stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str]):
+    assert run(capsys, "run")[0] == 2
+    assert run(capsys, "run", "cut", "--seed", "-1")[0] == 2
+    assert run(capsys, "fly")[0] == 2
+
+
+def test_an_output_folder_in_use_is_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    (tmp_path / "mine.txt").write_text("x")
+    status, _, stderr = run(capsys, "run", "cut", "--method", "static", "--out", str(tmp_path))
+    assert status == 2
+    assert "exists and is not empty" in stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_benchmarks_refuse_unknown_methods_and_sets(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    out = str(tmp_path / "b")
+    status, _, stderr = run(capsys, "bench", "--methods", "static,vlm", "--out", out)
+    assert (status, "unknown method `vlm`" in stderr) == (2, True)
+    status, _, stderr = run(capsys, "bench", "--episodes", "nowhere", "--out", out)
+    assert (status, "nowhere" in stderr) == (2, True)
+    assert not Path(out).exists()
+
+
+def test_knowledge_prints_json_alone(capsys: pytest.CaptureFixture[str]):
+    status, stdout, _ = run(capsys, "knowledge", "--json")
+    table = json.loads(stdout)
+    assert status == 0
+    assert set(table) == {"graph", "direct"}
+    assert table["graph"]["recall"] > table["direct"]["recall"]
+    assert table["graph"]["precision"] > table["direct"]["precision"]
+
+
+def test_a_static_run_prints_its_record(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    out = tmp_path / "run"
+    status, stdout, _ = run(
+        capsys,
+        "run",
+        "something to pour tea with",
+        "--method",
+        "static",
+        "--seed",
+        "3",
+        "--json",
+        "--out",
+        str(out),
+    )
+    assert status == 0
+    printed = json.loads(stdout)
+    record = EpisodeRecord.load(out / "episode.json")
+    assert printed.pop("out") == str(out)
+    assert printed == record.model_dump(mode="json")
+    assert record.verb == "pour"
+    assert record.seed == 3
+    assert record.result is not None
+    assert record.result.metrics is not None
+    assert 0 <= float(record.result.metrics["iou"] or 0) <= 1
+    assert (out / "grounding.png").is_file()
+    assert (out / "overview.png").is_file()
+
+
+def test_interrupting_leaves_a_readable_record_and_status_130(tmp_path: Path):
+    out = tmp_path / "run"
+    child = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "fuse_grounding.cli.app",
+            "run",
+            "cut",
+            "--method",
+            "random",
+            "--out",
+            str(out),
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=os.environ,
+    )
+    record = out / "episode.json"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (
+        record.exists() and len(EpisodeRecord.load(record).steps) >= 1
+    ):
+        assert child.poll() is None, child.stderr.read() if child.stderr else ""
+        time.sleep(0.02)
+    child.send_signal(signal.SIGINT)
+    _, stderr = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert b"interrupted" in stderr
+    kept = EpisodeRecord.load(record)
+    assert kept.steps
+    assert kept.result is None
