@@ -1,1 +1,26 @@
-//! TBD
+//! 3D Gaussian splatting on the CPU: the official model and training, tiled, parallel, in SIMD.
+//!
+//! [`Gaussians`] is the model, [`render()`] draws it, [`Trainer`] fits it to views that arrive one
+//! by one. `cpu.rs` lists the stages of an iteration in their order; `reference.rs` is the slow,
+//! obvious renderer in double precision that judges them in the tests.
+//!
+//! Quantities: metres, world right-handed with z up; camera x right, y down, z forward; colours
+//! in [0, 1].
+
+pub mod constants;
+mod cpu;
+mod error;
+mod gaussians;
+mod nearest;
+mod ply;
+mod render;
+mod sh;
+mod simd;
+mod stages;
+mod table;
+
+pub use cpu::StageSeconds;
+pub use error::SplatError;
+pub use gaussians::Gaussians;
+pub use render::{Rendering, loss_gradient, psnr, render, render_at};
+pub use table::{Block, LANES, Table};

@@ -1,0 +1,285 @@
+//! Blending: splats of a tile, nearest first → colour, opacity, depth.
+//!
+//! C = Σᵢ wᵢ cᵢ + T b, wᵢ = αᵢ Tᵢ, Tᵢ = Πⱼ﹤ᵢ (1 − αⱼ), αᵢ = min(0.99, 2^pᵢ), skipped where
+//! αᵢ < 1/255; b is the background.
+//!
+//! A task owns a row of tiles, hence a band of the image. The splat is in the outer loop, the
+//! state of the tile's 64 blocks of eight pixels stays in the first-level cache. A block is alive
+//! while one of its pixels lets through at least 1e-4; every eighth splat looks. The blocks that
+//! were drawn are written back to the masks, so that the backward pass does the same work.
+
+use fuse_camera::simd::Level;
+use rayon::prelude::*;
+
+use crate::constants::{
+    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN,
+};
+use crate::simd::{F32x8, Kernel, dispatch};
+use crate::stages::{Pairs, Planes, Splat, View};
+
+/// Splats between two looks at which blocks are alive.
+const LOOK: usize = 8;
+
+/// What the forward pass leaves.
+#[derive(Debug, Default)]
+pub(crate) struct Image {
+    /// Red, green, blue.
+    pub color: Planes,
+    /// What each pixel lets through.
+    pub transmittance: Vec<f32>,
+    /// Σ wᵢ zᵢ, metres; only filled on request.
+    pub depth: Vec<f32>,
+}
+
+/// Draws all tiles.
+pub(crate) fn rasterize(
+    level: Level,
+    view: &View,
+    background: [f32; 3],
+    splats: &[Splat],
+    pairs: &mut Pairs,
+    with_depth: bool,
+    image: &mut Image,
+) {
+    let n = view.pixels();
+    image.color.resize(3 * n, 0.0);
+    image.transmittance.resize(n, 0.0);
+    image.depth.resize(if with_depth { n } else { 0 }, 0.0);
+    bands(view, background, splats, pairs, image).into_par_iter().for_each(|band| dispatch(level, band));
+}
+
+/// One row of tiles and its part of the image.
+struct Band<'a> {
+    view: &'a View,
+    background: [f32; 3],
+    splats: &'a [Splat],
+    row: usize,
+    offsets: &'a [u32],
+    gaussian: &'a [u32],
+    mask: &'a mut [u64],
+    color: [&'a mut [f32]; 3],
+    transmittance: &'a mut [f32],
+    depth: Option<&'a mut [f32]>,
+}
+
+fn bands<'a>(
+    view: &'a View,
+    background: [f32; 3],
+    splats: &'a [Splat],
+    pairs: &'a mut Pairs,
+    image: &'a mut Image,
+) -> Vec<Band<'a>> {
+    let tiles = view.tiles_x();
+    let size = TILE_HEIGHT * view.width;
+    let mut mask = &mut pairs.mask[..];
+    let mut planes = image.color.chunks_mut(view.pixels()).map(|p| p.chunks_mut(size));
+    let (Some(mut red), Some(mut green), Some(mut blue)) = (planes.next(), planes.next(), planes.next()) else {
+        return Vec::new();
+    };
+    let mut transmittance = image.transmittance.chunks_mut(size);
+    let mut depth = image.depth.chunks_mut(size);
+    let mut out = Vec::with_capacity(view.tiles_y());
+    for row in 0..view.tiles_y() {
+        let offsets = &pairs.offsets[row * tiles..=(row + 1) * tiles];
+        let (first, last) = (offsets[0] as usize, offsets[tiles] as usize);
+        let (own, rest) = mask.split_at_mut(last - first);
+        mask = rest;
+        if let (Some(r), Some(g), Some(b), Some(t)) = (red.next(), green.next(), blue.next(), transmittance.next()) {
+            out.push(Band {
+                view,
+                background,
+                splats,
+                row,
+                offsets,
+                gaussian: &pairs.gaussian[first..last],
+                mask: own,
+                color: [r, g, b],
+                transmittance: t,
+                depth: depth.next(),
+            });
+        }
+    }
+    out
+}
+
+/// State of a tile, a vector a block.
+#[repr(C, align(64))]
+struct Tile {
+    transmittance: [[f32; 8]; TILE_BLOCKS],
+    red: [[f32; 8]; TILE_BLOCKS],
+    green: [[f32; 8]; TILE_BLOCKS],
+    blue: [[f32; 8]; TILE_BLOCKS],
+    depth: [[f32; 8]; TILE_BLOCKS],
+}
+
+impl Kernel for Band<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: F32x8>(mut self) {
+        let base = self.offsets[0] as usize;
+        for column in 0..self.view.tiles_x() {
+            let range = self.offsets[column] as usize - base..self.offsets[column + 1] as usize - base;
+            let origin = [(column * TILE_WIDTH) as f32, (self.row * TILE_HEIGHT) as f32];
+            let mut tile = Tile {
+                transmittance: [[1.0; 8]; TILE_BLOCKS],
+                red: [[0.0; 8]; TILE_BLOCKS],
+                green: [[0.0; 8]; TILE_BLOCKS],
+                blue: [[0.0; 8]; TILE_BLOCKS],
+                depth: [[0.0; 8]; TILE_BLOCKS],
+            };
+            let (gaussian, mask) = (&self.gaussian[range.clone()], &mut self.mask[range]);
+            if self.depth.is_some() {
+                draw_tile::<V, true>(origin, self.splats, gaussian, mask, &mut tile);
+            } else {
+                draw_tile::<V, false>(origin, self.splats, gaussian, mask, &mut tile);
+            }
+            self.store(column, &tile);
+        }
+    }
+}
+
+/// Offsets of a block's eight pixel centres from the tile's corner.
+pub(super) struct BlockOffsets {
+    pub x: [[f32; 8]; TILE_BLOCKS],
+    pub y: [[f32; 8]; TILE_BLOCKS],
+}
+
+pub(super) static OFFSETS: BlockOffsets = {
+    let columns = TILE_WIDTH / BLOCK_WIDTH;
+    let mut offsets = BlockOffsets { x: [[0.0; 8]; TILE_BLOCKS], y: [[0.0; 8]; TILE_BLOCKS] };
+    let mut b = 0;
+    while b < TILE_BLOCKS {
+        let mut lane = 0;
+        while lane < 8 {
+            offsets.x[b][lane] = ((b % columns) * BLOCK_WIDTH + lane % BLOCK_WIDTH) as f32 + 0.5;
+            offsets.y[b][lane] = ((b / columns) * BLOCK_HEIGHT + lane / BLOCK_WIDTH) as f32 + 0.5;
+            lane += 1;
+        }
+        b += 1;
+    }
+    offsets
+};
+
+/// The splat's numbers in all lanes, its mean relative to the tile's corner.
+pub(super) struct Broadcast<V> {
+    pub mean: [V; 2],
+    pub a: V,
+    pub b: V,
+    pub c: V,
+    pub log2_opacity: V,
+    pub color: [V; 3],
+}
+
+impl<V: F32x8> Broadcast<V> {
+    #[inline(always)]
+    pub fn new(splat: &Splat, origin: [f32; 2]) -> Self {
+        Self {
+            mean: [V::splat(splat.mean[0] - origin[0]), V::splat(splat.mean[1] - origin[1])],
+            a: V::splat(splat.a),
+            b: V::splat(splat.b),
+            c: V::splat(splat.c),
+            log2_opacity: V::splat(splat.log2_opacity),
+            color: splat.color.map(V::splat),
+        }
+    }
+
+    /// (dx, dy, p) at the pixels of a block.
+    #[inline(always)]
+    pub fn exponent(&self, block: usize) -> (V, V, V) {
+        let dx = V::load(&OFFSETS.x[block]) - self.mean[0];
+        let dy = V::load(&OFFSETS.y[block]) - self.mean[1];
+        let linear = self.b.mul_add(dy, self.a * dx);
+        let constant = (self.c * dy).mul_add(dy, self.log2_opacity);
+        (dx, dy, linear.mul_add(dx, constant))
+    }
+}
+
+#[inline(always)]
+fn draw_tile<V: F32x8, const DEPTH: bool>(
+    origin: [f32; 2],
+    splats: &[Splat],
+    gaussian: &[u32],
+    mask: &mut [u64],
+    tile: &mut Tile,
+) {
+    let mut alive = u64::MAX;
+    for (k, (&g, mask)) in gaussian.iter().zip(mask).enumerate() {
+        if k.is_multiple_of(LOOK) && k > 0 {
+            alive = still_alive::<V>(tile, alive);
+        }
+        *mask &= alive;
+        let mut blocks = *mask;
+        if blocks == 0 {
+            continue;
+        }
+        let splat = &splats[g as usize];
+        let s = Broadcast::<V>::new(splat, origin);
+        let depth = V::splat(splat.depth);
+        while blocks != 0 {
+            let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
+            blocks &= blocks - 1;
+            let (_, _, p) = s.exponent(block);
+            // The test is on the exponent: far from the mean, 2^p wraps.
+            let alpha = p.exp2().min(V::splat(ALPHA_MAX)).and(p.ge(V::splat(LOG2_ALPHA_MIN)));
+            let t = V::load(&tile.transmittance[block]);
+            let w = alpha * t;
+            (t - w).store(&mut tile.transmittance[block]);
+            w.mul_add(s.color[0], V::load(&tile.red[block])).store(&mut tile.red[block]);
+            w.mul_add(s.color[1], V::load(&tile.green[block])).store(&mut tile.green[block]);
+            w.mul_add(s.color[2], V::load(&tile.blue[block])).store(&mut tile.blue[block]);
+            if DEPTH {
+                w.mul_add(depth, V::load(&tile.depth[block])).store(&mut tile.depth[block]);
+            }
+        }
+    }
+}
+
+/// Of the blocks in `alive`, those with a pixel that is not finished.
+#[inline(always)]
+fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
+    let mut still = alive;
+    let mut blocks = alive;
+    while blocks != 0 {
+        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
+        blocks &= blocks - 1;
+        if V::load(&tile.transmittance[block]).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
+            still &= !(1 << block);
+        }
+    }
+    still
+}
+
+impl Band<'_> {
+    /// Blocks → rows of the image, background added.
+    #[inline(always)]
+    fn store(&mut self, column: usize, tile: &Tile) {
+        let width = self.view.width;
+        let left = column * TILE_WIDTH;
+        let columns = TILE_WIDTH.min(width - left);
+        let rows = self.transmittance.len() / width;
+        for y in 0..rows.min(TILE_HEIGHT) {
+            let at = y * width + left;
+            let first = y / BLOCK_HEIGHT * (TILE_WIDTH / BLOCK_WIDTH);
+            let lane = y % BLOCK_HEIGHT * BLOCK_WIDTH;
+            let line = |plane: &[[f32; 8]; TILE_BLOCKS]| -> [f32; TILE_WIDTH] {
+                let mut out = [0.0; TILE_WIDTH];
+                for (b, part) in out.chunks_exact_mut(BLOCK_WIDTH).enumerate() {
+                    part.copy_from_slice(&plane[first + b][lane..lane + BLOCK_WIDTH]);
+                }
+                out
+            };
+            let t = line(&tile.transmittance);
+            self.transmittance[at..at + columns].copy_from_slice(&t[..columns]);
+            for (c, plane) in [&tile.red, &tile.green, &tile.blue].into_iter().enumerate() {
+                let mut values = line(plane);
+                for (v, t) in values.iter_mut().zip(&t) {
+                    *v += t * self.background[c];
+                }
+                self.color[c][at..at + columns].copy_from_slice(&values[..columns]);
+            }
+            if let Some(depth) = &mut self.depth {
+                depth[at..at + columns].copy_from_slice(&line(&tile.depth)[..columns]);
+            }
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Gradient of the blending, front to back.
+//!
+//! With Rᵢ = Σ_c G_c (Σⱼ≥ᵢ wⱼ cⱼ + T b)_c, the part of colour · gradient that splat i and all
+//! behind it contribute, R₀ = G · C and Rᵢ₊₁ = Rᵢ − uᵢ with uᵢ = wᵢ G · cᵢ:
+//! αᵢ dL/dαᵢ = uᵢ − Rᵢ₊₁ αᵢ/(1 − αᵢ). One running scalar a pixel; no transmittance is stored.
+//! Where α is clamped at 0.99 it does not depend on the exponent.
+//!
+//! A task owns a tile; each pair of Gaussian and tile has its own place for nine sums, so that
+//! nothing is added atomically and the order of summation is fixed.
+
+use fuse_camera::simd::Level;
+use rayon::prelude::*;
+
+use super::rasterize::Broadcast;
+use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
+use crate::simd::{F32x8, Kernel, dispatch};
+use crate::stages::{PairGradient, Pairs, Splat, View};
+
+/// Fills `gradients`, one a pair, from the drawn image and the loss's gradient with respect to it
+/// (three planes each).
+pub(crate) fn rasterize_backward(
+    level: Level,
+    view: &View,
+    splats: &[Splat],
+    pairs: &Pairs,
+    color: &[f32],
+    gradient: &[f32],
+    gradients: &mut Vec<PairGradient>,
+) {
+    gradients.resize(pairs.gaussian.len(), [0.0; 9]);
+    let mut rest = &mut gradients[..];
+    let mut tiles = Vec::with_capacity(pairs.offsets.len());
+    for (tile, range) in pairs.offsets.windows(2).take(view.tiles_x() * view.tiles_y()).enumerate() {
+        let range = range[0] as usize..range[1] as usize;
+        let (own, others) = rest.split_at_mut(range.len());
+        rest = others;
+        let (gaussian, mask) = (&pairs.gaussian[range.clone()], &pairs.mask[range]);
+        tiles.push(TileBackward { view, splats, tile, gaussian, mask, color, gradient, out: own });
+    }
+    tiles.into_par_iter().for_each(|tile| dispatch(level, tile));
+}
+
+struct TileBackward<'a> {
+    view: &'a View,
+    splats: &'a [Splat],
+    tile: usize,
+    gaussian: &'a [u32],
+    mask: &'a [u64],
+    color: &'a [f32],
+    gradient: &'a [f32],
+    out: &'a mut [PairGradient],
+}
+
+/// State of a tile, a vector a block.
+#[repr(C, align(64))]
+struct Tile {
+    transmittance: [[f32; 8]; TILE_BLOCKS],
+    /// R.
+    remaining: [[f32; 8]; TILE_BLOCKS],
+    /// G.
+    gradient: [[[f32; 8]; 3]; TILE_BLOCKS],
+}
+
+impl Kernel for TileBackward<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: F32x8>(self) {
+        if self.gaussian.is_empty() {
+            return;
+        }
+        let (column, row) = (self.tile % self.view.tiles_x(), self.tile / self.view.tiles_x());
+        let origin = [(column * TILE_WIDTH) as f32, (row * TILE_HEIGHT) as f32];
+        let mut tile = Tile {
+            transmittance: [[1.0; 8]; TILE_BLOCKS],
+            remaining: [[0.0; 8]; TILE_BLOCKS],
+            gradient: [[[0.0; 8]; 3]; TILE_BLOCKS],
+        };
+        self.load(column, row, &mut tile);
+        for ((&g, &mask), out) in self.gaussian.iter().zip(self.mask).zip(self.out) {
+            *out = if mask == 0 {
+                [0.0; 9]
+            } else {
+                let splat = Broadcast::<V>::new(&self.splats[g as usize], origin);
+                pair_gradient(&splat, mask, &mut tile)
+            };
+        }
+    }
+}
+
+impl TileBackward<'_> {
+    /// Rows of the image → blocks. Pixels outside the image have no gradient.
+    #[inline(always)]
+    fn load(&self, column: usize, row: usize, tile: &mut Tile) {
+        let (width, n) = (self.view.width, self.view.pixels());
+        let left = column * TILE_WIDTH;
+        let columns = TILE_WIDTH.min(width - left);
+        let rows = TILE_HEIGHT.min(self.view.height - row * TILE_HEIGHT);
+        for y in 0..rows {
+            let at = (row * TILE_HEIGHT + y) * width + left;
+            for x in 0..columns {
+                let block = y / BLOCK_HEIGHT * (TILE_WIDTH / BLOCK_WIDTH) + x / BLOCK_WIDTH;
+                let lane = y % BLOCK_HEIGHT * BLOCK_WIDTH + x % BLOCK_WIDTH;
+                let mut dot = 0.0;
+                for c in 0..3 {
+                    let gradient = self.gradient[c * n + at + x];
+                    tile.gradient[block][c][lane] = gradient;
+                    dot += gradient * self.color[c * n + at + x];
+                }
+                tile.remaining[block][lane] = dot;
+            }
+        }
+    }
+}
+
+/// The nine sums of one splat over the blocks in `mask`; advances the tile's state past it.
+#[inline(always)]
+fn pair_gradient<V: F32x8>(s: &Broadcast<V>, mask: u64, tile: &mut Tile) -> PairGradient {
+    let mut color = [V::zero(); 3];
+    let mut moment = [V::zero(); 6];
+    let mut blocks = mask;
+    while blocks != 0 {
+        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
+        blocks &= blocks - 1;
+        let (dx, dy, p) = s.exponent(block);
+        let drawn = p.ge(V::splat(LOG2_ALPHA_MIN));
+        let raw = p.exp2();
+        let alpha = raw.min(V::splat(ALPHA_MAX)).and(drawn);
+        let t = V::load(&tile.transmittance[block]);
+        let w = alpha * t;
+        (t - w).store(&mut tile.transmittance[block]);
+
+        let gradient = &tile.gradient[block];
+        let (red, green, blue) = (V::load(&gradient[0]), V::load(&gradient[1]), V::load(&gradient[2]));
+        color[0] = w.mul_add(red, color[0]);
+        color[1] = w.mul_add(green, color[1]);
+        color[2] = w.mul_add(blue, color[2]);
+        let dot = s.color[2].mul_add(blue, s.color[1].mul_add(green, s.color[0] * red));
+        let u = w * dot;
+        let remaining = V::load(&tile.remaining[block]) - u;
+        remaining.store(&mut tile.remaining[block]);
+
+        let g = u - remaining * alpha / (V::splat(1.0) - alpha);
+        let g = g.and(V::splat(ALPHA_MAX).ge(raw)).and(drawn);
+        let (gx, gy) = (g * dx, g * dy);
+        moment[0] = moment[0] + g;
+        moment[1] = moment[1] + gx;
+        moment[2] = moment[2] + gy;
+        moment[3] = gx.mul_add(dx, moment[3]);
+        moment[4] = gx.mul_add(dy, moment[4]);
+        moment[5] = gy.mul_add(dy, moment[5]);
+    }
+    let [m0, m1, m2, m3, m4, m5] = moment;
+    let first = V::sums([color[0], color[1], color[2], m0, m1, m2, m3, m4]);
+    let last = V::sums([m5; 8])[0];
+    [first[0], first[1], first[2], first[3], first[4], first[5], first[6], first[7], last]
+}

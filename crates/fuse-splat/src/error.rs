@@ -1,0 +1,35 @@
+//! What can go wrong that the caller can put right.
+
+/// A file or an argument is not what was expected; the message names it.
+#[derive(Debug, thiserror::Error)]
+pub enum SplatError {
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file is not a PLY of Gaussians.
+    #[error("{path}: {what}")]
+    Ply {
+        /// The file.
+        path: String,
+        /// What was found and what was expected.
+        what: String,
+    },
+    /// An argument is out of range.
+    #[error("{0}")]
+    Input(String),
+}
+
+impl SplatError {
+    pub(crate) fn io(path: &std::path::Path, source: std::io::Error) -> Self {
+        Self::Io { path: path.display().to_string(), source }
+    }
+
+    pub(crate) fn ply(path: &std::path::Path, what: impl Into<String>) -> Self {
+        Self::Ply { path: path.display().to_string(), what: what.into() }
+    }
+}

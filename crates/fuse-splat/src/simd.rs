@@ -1,0 +1,370 @@
+//! Eight f32 lanes at the machine's SIMD level, and the one place where the level is chosen.
+//!
+//! A kernel is a struct with its arguments that implements [`Kernel`]; its `run` is generic over
+//! [`F32x8`] and, like everything it calls, `#[inline(always)]`, so that the whole kernel is
+//! compiled once inside a function that enables AVX2 and FMA, and once for the build target.
+
+use std::array::from_fn;
+use std::ops::{Add, Div, Mul, Sub};
+
+use fuse_camera::simd::Level;
+
+/// Eight lanes of f32. Masks are lanes with all bits set or none.
+pub(crate) trait F32x8:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
+    fn splat(v: f32) -> Self;
+    fn load(v: &[f32; 8]) -> Self;
+    fn store(self, to: &mut [f32; 8]);
+    /// `self · a + b`, rounded once where the level has FMA.
+    fn mul_add(self, a: Self, b: Self) -> Self;
+    fn min(self, o: Self) -> Self;
+    fn max(self, o: Self) -> Self;
+    fn sqrt(self) -> Self;
+    /// Mask of lanes with `self ≥ o`; false for NaN.
+    fn ge(self, o: Self) -> Self;
+    /// Mask of lanes with `self > o`; false for NaN.
+    fn gt(self, o: Self) -> Self;
+    /// Bitwise and.
+    fn and(self, o: Self) -> Self;
+    /// `self` where the mask is set, else `other`.
+    fn select(self, mask: Self, other: Self) -> Self;
+    /// Bit `i` is the sign bit of lane `i`.
+    fn bits(self) -> u32;
+    /// Adds the integer in the low bits of `t` (a float of the form 1.5·2²³ + n) to the exponent.
+    fn add_exponent(self, t: Self) -> Self;
+    /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
+    fn split_exponent(self) -> (Self, Self);
+    /// The sums over the lanes of each of eight vectors.
+    fn sums(v: [Self; 8]) -> [f32; 8];
+
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::zero() - self
+    }
+
+    /// The eight values at the start of `v`.
+    #[inline(always)]
+    fn load_slice(v: &[f32]) -> Self {
+        Self::load(v.first_chunk().expect("at least eight values"))
+    }
+
+    /// Writes to the first eight places of `to`.
+    #[inline(always)]
+    fn store_slice(self, to: &mut [f32]) {
+        self.store(to.first_chunk_mut().expect("at least eight places"));
+    }
+
+    #[inline(always)]
+    fn to_array(self) -> [f32; 8] {
+        let mut out = [0.0; 8];
+        self.store(&mut out);
+        out
+    }
+
+    /// `2^self`, relative error below 3e-7 for lanes in [-126, 126]; outside, the exponent wraps
+    /// and the result means nothing: mask on the argument.
+    #[inline(always)]
+    fn exp2(self) -> Self {
+        const MAGIC: f32 = 12_582_912.0; // 1.5·2²³: adding it rounds to the nearest integer.
+        let t = self + Self::splat(MAGIC);
+        let f = self - (t - Self::splat(MAGIC));
+        let p = Self::splat(1.327_647_2e-3);
+        let p = p.mul_add(f, Self::splat(9.675_541e-3));
+        let p = p.mul_add(f, Self::splat(5.550_713e-2));
+        let p = p.mul_add(f, Self::splat(0.240_221_2));
+        let p = p.mul_add(f, Self::splat(0.693_146_94));
+        let p = p.mul_add(f, Self::splat(1.0));
+        p.add_exponent(t)
+    }
+
+    /// `exp(self)`, argument clamped to [-87, 87].
+    #[inline(always)]
+    fn exp(self) -> Self {
+        (self.max(Self::splat(-87.0)).min(Self::splat(87.0)) * Self::splat(std::f32::consts::LOG2_E)).exp2()
+    }
+
+    /// `log2(self)` for positive normal lanes: log2 m = 2/ln 2 · artanh((m-1)/(m+1)).
+    #[inline(always)]
+    fn log2(self) -> Self {
+        let (e, m) = self.split_exponent();
+        let s = (m - Self::splat(1.0)) / (m + Self::splat(1.0));
+        let s2 = s * s;
+        let p = Self::splat(2.0 / 7.0);
+        let p = p.mul_add(s2, Self::splat(2.0 / 5.0));
+        let p = p.mul_add(s2, Self::splat(2.0 / 3.0));
+        let p = p.mul_add(s2, Self::splat(2.0));
+        (p * s).mul_add(Self::splat(std::f32::consts::LOG2_E), e)
+    }
+}
+
+/// Work that is compiled for every level.
+pub(crate) trait Kernel {
+    type Output;
+    /// Must be `#[inline(always)]`.
+    fn run<V: F32x8>(self) -> Self::Output;
+}
+
+/// Runs a kernel at `level`, or portably where the machine lacks that level.
+#[inline]
+pub(crate) fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if level == Level::Avx2Fma && fuse_camera::simd::best() == Level::Avx2Fma {
+        // SAFETY: the machine was just found to have AVX2 and FMA.
+        return unsafe { x86::run(kernel) };
+    }
+    let _ = level;
+    kernel.run::<Portable>()
+}
+
+/// Plain arrays, for whatever the build target has.
+#[derive(Clone, Copy)]
+#[repr(align(32))]
+struct Portable([f32; 8]);
+
+macro_rules! portable_operator {
+    ($trait:ident, $method:ident, $op:tt) => {
+        impl $trait for Portable {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, o: Self) -> Self {
+                Self(from_fn(|i| self.0[i] $op o.0[i]))
+            }
+        }
+    };
+}
+portable_operator!(Add, add, +);
+portable_operator!(Sub, sub, -);
+portable_operator!(Mul, mul, *);
+portable_operator!(Div, div, /);
+
+fn mask(set: bool) -> f32 {
+    f32::from_bits(if set { u32::MAX } else { 0 })
+}
+
+impl F32x8 for Portable {
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        Self([v; 8])
+    }
+    #[inline(always)]
+    fn load(v: &[f32; 8]) -> Self {
+        Self(*v)
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32; 8]) {
+        *to = self.0;
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        // Not f32::mul_add, which is a slow library call where the target has no FMA.
+        self * a + b
+    }
+    #[inline(always)]
+    fn min(self, o: Self) -> Self {
+        Self(from_fn(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
+    }
+    #[inline(always)]
+    fn max(self, o: Self) -> Self {
+        Self(from_fn(|i| if self.0[i] > o.0[i] { self.0[i] } else { o.0[i] }))
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self(from_fn(|i| self.0[i].sqrt()))
+    }
+    #[inline(always)]
+    fn ge(self, o: Self) -> Self {
+        Self(from_fn(|i| mask(self.0[i] >= o.0[i])))
+    }
+    #[inline(always)]
+    fn gt(self, o: Self) -> Self {
+        Self(from_fn(|i| mask(self.0[i] > o.0[i])))
+    }
+    #[inline(always)]
+    fn and(self, o: Self) -> Self {
+        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits() & o.0[i].to_bits())))
+    }
+    #[inline(always)]
+    fn select(self, mask: Self, other: Self) -> Self {
+        Self(from_fn(|i| if mask.0[i].to_bits() != 0 { self.0[i] } else { other.0[i] }))
+    }
+    #[inline(always)]
+    fn bits(self) -> u32 {
+        (0..8).fold(0, |bits, i| bits | (self.0[i].to_bits() >> 31) << i)
+    }
+    #[inline(always)]
+    fn add_exponent(self, t: Self) -> Self {
+        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits().wrapping_add(t.0[i].to_bits() << 23))))
+    }
+    #[inline(always)]
+    fn split_exponent(self) -> (Self, Self) {
+        let e: [i32; 8] = from_fn(|i| (self.0[i].to_bits() as i32).wrapping_sub(HALF_ROOT) >> 23);
+        let m = from_fn(|i| f32::from_bits((self.0[i].to_bits() as i32).wrapping_sub(e[i] << 23) as u32));
+        (Self(from_fn(|i| e[i] as f32)), Self(m))
+    }
+    #[inline(always)]
+    fn sums(v: [Self; 8]) -> [f32; 8] {
+        from_fn(|i| {
+            let a = v[i].0;
+            ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7]))
+        })
+    }
+}
+
+/// Bits of √½, the lower end of the mantissas that `split_exponent` returns.
+const HALF_ROOT: i32 = 0x3f35_04f3;
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use std::arch::x86_64::*;
+    use std::ops::{Add, Div, Mul, Sub};
+
+    use super::{F32x8, HALF_ROOT, Kernel};
+
+    /// # Safety
+    /// The machine has AVX2 and FMA.
+    #[target_feature(enable = "avx2,fma")]
+    pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
+        kernel.run::<Avx2>()
+    }
+
+    /// Private to this module: a value can only come into being inside a kernel that `run`
+    /// started, which is why each `unsafe` block below may rely on AVX2 and FMA.
+    #[derive(Clone, Copy)]
+    struct Avx2(__m256);
+
+    macro_rules! intrinsic {
+        ($e:expr) => {
+            // SAFETY: AVX2 and FMA are present, see `Avx2`.
+            unsafe { $e }
+        };
+    }
+
+    macro_rules! operator {
+        ($trait:ident, $method:ident, $intrinsic:ident) => {
+            impl $trait for Avx2 {
+                type Output = Self;
+                #[inline(always)]
+                fn $method(self, o: Self) -> Self {
+                    Self(intrinsic!($intrinsic(self.0, o.0)))
+                }
+            }
+        };
+    }
+    operator!(Add, add, _mm256_add_ps);
+    operator!(Sub, sub, _mm256_sub_ps);
+    operator!(Mul, mul, _mm256_mul_ps);
+    operator!(Div, div, _mm256_div_ps);
+
+    impl F32x8 for Avx2 {
+        #[inline(always)]
+        fn splat(v: f32) -> Self {
+            Self(intrinsic!(_mm256_set1_ps(v)))
+        }
+        #[inline(always)]
+        fn load(v: &[f32; 8]) -> Self {
+            // The pointer is valid for eight unaligned reads: it comes from an array.
+            Self(intrinsic!(_mm256_loadu_ps(v.as_ptr())))
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f32; 8]) {
+            intrinsic!(_mm256_storeu_ps(to.as_mut_ptr(), self.0))
+        }
+        #[inline(always)]
+        fn mul_add(self, a: Self, b: Self) -> Self {
+            Self(intrinsic!(_mm256_fmadd_ps(self.0, a.0, b.0)))
+        }
+        #[inline(always)]
+        fn min(self, o: Self) -> Self {
+            Self(intrinsic!(_mm256_min_ps(self.0, o.0)))
+        }
+        #[inline(always)]
+        fn max(self, o: Self) -> Self {
+            Self(intrinsic!(_mm256_max_ps(self.0, o.0)))
+        }
+        #[inline(always)]
+        fn sqrt(self) -> Self {
+            Self(intrinsic!(_mm256_sqrt_ps(self.0)))
+        }
+        #[inline(always)]
+        fn ge(self, o: Self) -> Self {
+            Self(intrinsic!(_mm256_cmp_ps::<_CMP_GE_OQ>(self.0, o.0)))
+        }
+        #[inline(always)]
+        fn gt(self, o: Self) -> Self {
+            Self(intrinsic!(_mm256_cmp_ps::<_CMP_GT_OQ>(self.0, o.0)))
+        }
+        #[inline(always)]
+        fn and(self, o: Self) -> Self {
+            Self(intrinsic!(_mm256_and_ps(self.0, o.0)))
+        }
+        #[inline(always)]
+        fn select(self, mask: Self, other: Self) -> Self {
+            Self(intrinsic!(_mm256_blendv_ps(other.0, self.0, mask.0)))
+        }
+        #[inline(always)]
+        fn bits(self) -> u32 {
+            intrinsic!(_mm256_movemask_ps(self.0)) as u32
+        }
+        #[inline(always)]
+        fn add_exponent(self, t: Self) -> Self {
+            let n = intrinsic!(_mm256_slli_epi32::<23>(_mm256_castps_si256(t.0)));
+            Self(intrinsic!(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), n))))
+        }
+        #[inline(always)]
+        fn split_exponent(self) -> (Self, Self) {
+            let bits = intrinsic!(_mm256_castps_si256(self.0));
+            let e = intrinsic!(_mm256_srai_epi32::<23>(_mm256_sub_epi32(bits, _mm256_set1_epi32(HALF_ROOT))));
+            let m = intrinsic!(_mm256_castsi256_ps(_mm256_sub_epi32(bits, _mm256_slli_epi32::<23>(e))));
+            (Self(intrinsic!(_mm256_cvtepi32_ps(e))), Self(m))
+        }
+        #[inline(always)]
+        fn sums(v: [Self; 8]) -> [f32; 8] {
+            let add = |a: __m256, b: __m256| intrinsic!(_mm256_hadd_ps(a, b));
+            let a = add(add(v[0].0, v[1].0), add(v[2].0, v[3].0));
+            let b = add(add(v[4].0, v[5].0), add(v[6].0, v[7].0));
+            let lows = intrinsic!(_mm256_permute2f128_ps::<0x20>(a, b));
+            let highs = intrinsic!(_mm256_permute2f128_ps::<0x31>(a, b));
+            (Self(lows) + Self(highs)).to_array()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Elementary<'a>(&'a [f32; 8]);
+    impl Kernel for Elementary<'_> {
+        type Output = ([f32; 8], [f32; 8], [f32; 8]);
+        #[inline(always)]
+        fn run<V: F32x8>(self) -> Self::Output {
+            let v = V::load(self.0);
+            let sums = V::sums(from_fn(|i| v * V::splat(i as f32)));
+            (v.exp2().to_array(), v.max(V::splat(1e-3)).log2().to_array(), sums)
+        }
+    }
+
+    #[test]
+    fn elementary_functions_agree_with_std_at_every_level() {
+        for level in [Level::Portable, fuse_camera::simd::best()] {
+            for k in 0..4000 {
+                let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
+                let (exp, log, sums) = dispatch(level, Elementary(&x));
+                let total: f64 = x.iter().map(|&v| f64::from(v)).sum();
+                for i in 0..8 {
+                    let e = f64::from(x[i]).exp2();
+                    assert!((f64::from(exp[i]) / e - 1.0).abs() < 3e-7, "2^{} = {}", x[i], exp[i]);
+                    let l = f64::from(x[i].max(1e-3)).log2();
+                    assert!((f64::from(log[i]) - l).abs() < 4e-7 * l.abs().max(1.0), "log2 {} = {}", x[i], log[i]);
+                    assert!((f64::from(sums[i]) - total * i as f64).abs() <= 1e-5 * (1.0 + total.abs() * i as f64));
+                }
+            }
+        }
+    }
+}
