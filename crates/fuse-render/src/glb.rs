@@ -83,8 +83,7 @@ pub fn to_glb(model: &Model) -> Vec<u8> {
             format!("{{\"bufferView\":{},\"mimeType\":\"{mime}\"}}", binary.view(&bytes, None))
         })
         .collect();
-    let sources: Vec<String> =
-        (0..images.len()).map(|i| format!("{{\"sampler\":0,\"source\":{i}}}")).collect();
+    let sources: Vec<String> = (0..images.len()).map(|i| format!("{{\"sampler\":0,\"source\":{i}}}")).collect();
     let mut json = String::from("{\"asset\":{\"version\":\"2.0\",\"generator\":\"fuse-render\"},\"scene\":0");
     json += ",\"scenes\":[{\"nodes\":[0]}]";
     if primitives.is_empty() {

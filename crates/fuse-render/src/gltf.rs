@@ -33,8 +33,7 @@ pub fn from_glb(bytes: &[u8], name: &str) -> Result<Model, ModelError> {
 
 fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<Model, String> {
     check_container(bytes)?;
-    let unchecked =
-        gltf::Gltf::from_slice_without_validation(bytes).map_err(|e| format!("it is not glTF 2.0: {e}"))?;
+    let unchecked = gltf::Gltf::from_slice_without_validation(bytes).map_err(|e| format!("it is not glTF 2.0: {e}"))?;
     for required in unchecked.extensions_required() {
         if required.contains("draco") || required.contains("meshopt") {
             return Err(format!("it needs {required}, which is not supported; save it without compression"));
@@ -43,13 +42,39 @@ fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<Model, String> {
             return Err(format!("it needs the extension {required}, which is not supported"));
         }
     }
-    drop(unchecked);
+    check_json(unchecked.as_json())?;
     let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(bytes).map_err(|e| format!("it is not sound: {e}"))?;
     let buffers = read_buffers(&document, blob, folder)?;
     let mut importer = Importer { document: &document, buffers, folder, textures: Vec::new(), model: Model::default() };
     importer.textures = vec![None; document.images().count()];
     importer.run()?;
     Ok(importer.model)
+}
+
+/// What the `gltf` crate does not check and panics on: positions from an accessor that does not
+/// exist, images without a source or a type.
+fn check_json(root: &gltf::json::Root) -> Result<(), String> {
+    let semantic = gltf::json::validation::Checked::Valid(gltf::Semantic::Positions);
+    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
+        if let Some(index) = primitive.attributes.get(&semantic)
+            && index.value() >= root.accessors.len()
+        {
+            return Err(format!(
+                "its positions are accessor {}, but there are {}",
+                index.value(),
+                root.accessors.len()
+            ));
+        }
+    }
+    for (i, image) in root.images.iter().enumerate() {
+        if image.buffer_view.is_none() && image.uri.is_none() {
+            return Err(format!("image {i} has neither a buffer view nor a URI"));
+        }
+        if image.buffer_view.is_some() && image.mime_type.is_none() {
+            return Err(format!("image {i} is in a buffer view but its MIME type is missing"));
+        }
+    }
+    Ok(())
 }
 
 /// GLB header: length and version, so that truncation is named as such.
@@ -196,8 +221,7 @@ impl Importer<'_> {
             gltf::image::Source::View { view, .. } => self.view_bytes(&view)?.to_vec(),
             gltf::image::Source::Uri { uri, .. } => read_uri(uri, self.folder)?,
         };
-        let texture =
-            Arc::new(model::decode_texture(&bytes).map_err(|e| format!("image {}: {e}", image.index()))?);
+        let texture = Arc::new(model::decode_texture(&bytes).map_err(|e| format!("image {}: {e}", image.index()))?);
         self.textures[image.index()] = Some(texture.clone());
         Ok(texture)
     }
@@ -277,7 +301,11 @@ fn check_types(p: &gltf::Primitive<'_>) -> Result<(), String> {
         if let Some(a) = p.get(&semantic)
             && (a.data_type(), a.dimensions()) != (DataType::F32, dimensions)
         {
-            return Err(format!("{semantic:?} are {:?} {:?}, expected 32-bit float Vec3", a.data_type(), a.dimensions()));
+            return Err(format!(
+                "{semantic:?} are {:?} {:?}, expected 32-bit float Vec3",
+                a.data_type(),
+                a.dimensions()
+            ));
         }
     }
     if let Some(a) = p.get(&TexCoords(0))

@@ -46,11 +46,7 @@ impl Default for Light {
             sky: Vec3::new(0.21, 0.225, 0.25),
             ground: Vec3::new(0.12, 0.105, 0.09),
             soft_boxes: vec![
-                SoftBox {
-                    direction: Vec3::new(-0.8, 0.35, 0.5),
-                    color: Vec3::new(1.1, 1.25, 1.5),
-                    sharpness: 14.0,
-                },
+                SoftBox { direction: Vec3::new(-0.8, 0.35, 0.5), color: Vec3::new(1.1, 1.25, 1.5), sharpness: 14.0 },
                 SoftBox { direction: Vec3::new(0.5, 0.75, 0.45), color: Vec3::new(0.9, 0.85, 0.75), sharpness: 30.0 },
             ],
             exposure: 1.0,

@@ -129,11 +129,7 @@ impl Model {
             ));
         }
         if mesh.material >= self.materials.len() {
-            return Err(format!(
-                "mesh {i} uses material {}, but there are {}",
-                mesh.material,
-                self.materials.len()
-            ));
+            return Err(format!("mesh {i} uses material {}, but there are {}", mesh.material, self.materials.len()));
         }
         if let Some(t) = mesh.triangles.iter().find(|t| t.iter().any(|&v| v as usize >= n)) {
             return Err(format!("mesh {i} has a triangle {t:?}, but only {n} vertices"));

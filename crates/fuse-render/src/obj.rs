@@ -32,16 +32,15 @@ fn parse(bytes: &[u8], folder: &Path) -> Result<Model, String> {
     // The reader replaces what the callback returns; the first true cause is kept here.
     let trouble = RefCell::new(None);
     let options = tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
-    let (shapes, materials) = tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |file| {
-        match read_beside(folder, file) {
+    let (shapes, materials) =
+        tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |file| match read_beside(folder, file) {
             Ok(data) => tobj::load_mtl_buf(&mut BufReader::new(Cursor::new(data))),
             Err(reason) => {
                 trouble.borrow_mut().get_or_insert(reason);
                 Err(tobj::LoadError::OpenFileFailed)
             }
-        }
-    })
-    .map_err(|e| format!("it is not a sound OBJ file: {e}"))?;
+        })
+        .map_err(|e| format!("it is not a sound OBJ file: {e}"))?;
     if let Some(reason) = trouble.into_inner() {
         return Err(reason);
     }

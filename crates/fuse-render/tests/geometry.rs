@@ -108,10 +108,8 @@ fn near_plane_hides_what_is_closer() {
 fn back_faces_show_on_double_sided_materials_only() {
     let cam = camera(32, 24, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
     for double_sided in [false, true] {
-        let mut m = model(
-            quad(Vec3::new(1.0, -1.0, -1.0), Vec3::Y * 2.0, Vec3::Z * 2.0, 1.0),
-            material([0.5; 3], 0.0, 0.5),
-        );
+        let mut m =
+            model(quad(Vec3::new(1.0, -1.0, -1.0), Vec3::Y * 2.0, Vec3::Z * 2.0, 1.0), material([0.5; 3], 0.0, 0.5));
         m.materials[0].double_sided = double_sided;
         let r = Renderer::new(scene(vec![place(m, Vec3::ZERO, 0.0, 5)]), &plain()).unwrap();
         let (_, ids) = r.depth_ids(&cam);

@@ -2,7 +2,7 @@
 
 use glam::{Mat3, Vec2, Vec3};
 
-use super::texture::{MipChain, MipCache};
+use super::texture::{MipCache, MipChain};
 use crate::{Scene, SceneError};
 
 /// Most triangles of a scene.
@@ -53,9 +53,11 @@ impl Geometry {
         };
         let mut mips = MipCache::default();
         for (index, instance) in scene.instances.iter().enumerate() {
-            geometry
-                .append(instance, &mut mips)
-                .map_err(|reason| SceneError::Model { index, id: instance.id, reason })?;
+            geometry.append(instance, &mut mips).map_err(|reason| SceneError::Model {
+                index,
+                id: instance.id,
+                reason,
+            })?;
         }
         Ok(geometry)
     }

@@ -45,9 +45,10 @@ impl Level {
         for y in 0..side as i32 {
             for x in 0..side as i32 {
                 let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| self.at(2 * x + dx, 2 * y + dy));
-                extremes.push(four.into_iter().fold([f32::NEG_INFINITY, f32::INFINITY], |[hi, lo], [a, b]| {
-                    [hi.max(a), lo.min(b)]
-                }));
+                extremes.push(
+                    four.into_iter()
+                        .fold([f32::NEG_INFINITY, f32::INFINITY], |[hi, lo], [a, b]| [hi.max(a), lo.min(b)]),
+                );
             }
         }
         Self { side, extremes }

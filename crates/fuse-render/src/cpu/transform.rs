@@ -59,11 +59,8 @@ impl View {
         let r = camera.pose.rotation.to_rotation_matrix();
         let r = DMat3::from_cols_array_2d(&std::array::from_fn(|c| std::array::from_fn(|row| r[(row, c)])));
         let t = &camera.pose.translation;
-        let k_matrix = DMat3::from_cols(
-            DVec3::new(k.fx, 0.0, 0.0),
-            DVec3::new(0.0, k.fy, 0.0),
-            DVec3::new(k.cx, k.cy, 1.0),
-        );
+        let k_matrix =
+            DMat3::from_cols(DVec3::new(k.fx, 0.0, 0.0), DVec3::new(0.0, k.fy, 0.0), DVec3::new(k.cx, k.cy, 1.0));
         Self {
             matrix: k_matrix * r,
             offset: k_matrix * DVec3::new(t.x, t.y, t.z),
@@ -75,12 +72,7 @@ impl View {
 
     /// Pixel-homogeneous coordinates of every vertex.
     pub fn vertices(&self, geometry: &Geometry) -> Vec<DVec3> {
-        geometry
-            .positions
-            .par_iter()
-            .with_min_len(CHUNK)
-            .map(|p| self.matrix * p.as_dvec3() + self.offset)
-            .collect()
+        geometry.positions.par_iter().with_min_len(CHUNK).map(|p| self.matrix * p.as_dvec3() + self.offset).collect()
     }
 
     /// The triangles that face the camera (or are double-sided) and may cover a sample, in order.

@@ -123,7 +123,8 @@ pub fn texture(size: u32, f: impl Fn(f32, f32) -> [f32; 3]) -> Texture {
 
 pub fn wood() -> Texture {
     texture(512, |u, v| {
-        let grain = smooth(u, v, [4, 96], 1) * 0.5 + smooth(u, v, [8, 256], 2) * 0.3 + smooth(u, v, [256, 256], 3) * 0.2;
+        let grain =
+            smooth(u, v, [4, 96], 1) * 0.5 + smooth(u, v, [8, 256], 2) * 0.3 + smooth(u, v, [256, 256], 3) * 0.2;
         let plank = ((v * 4.0).fract() > 0.012) as u32 as f32;
         let tone = (0.55 + 0.35 * grain + 0.08 * noise((v * 4.0) as u32, 0, 9)) * (0.5 + 0.5 * plank);
         [0.85 * tone, 0.62 * tone, 0.42 * tone]
@@ -174,7 +175,14 @@ pub fn room() -> Vec<Instance> {
 
 pub fn mug_outline() -> Vec<[f32; 2]> {
     vec![
-        [0.0, 0.0], [0.036, 0.0], [0.04, 0.004], [0.04, 0.09], [0.039, 0.092], [0.037, 0.09], [0.037, 0.006], [0.0, 0.005],
+        [0.0, 0.0],
+        [0.036, 0.0],
+        [0.04, 0.004],
+        [0.04, 0.09],
+        [0.039, 0.092],
+        [0.037, 0.09],
+        [0.037, 0.006],
+        [0.0, 0.005],
     ]
 }
 
