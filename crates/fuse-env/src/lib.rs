@@ -3,9 +3,13 @@
 
 pub mod catalogue;
 pub mod configuration;
+pub mod episode;
+pub mod generate;
 pub mod metrics;
 pub mod objects;
 pub mod placement;
 pub mod ring;
 pub mod room;
 pub mod surfaces;
+pub mod targets;
+pub mod world;
