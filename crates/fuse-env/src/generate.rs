@@ -1,0 +1,315 @@
+//! Making episodes: a target for a verb, distractors with near misses, a layout, and a start from
+//! which the target is partly hidden although some viewpoint shows it well.
+
+use std::collections::BTreeMap;
+
+use glam::Vec2;
+use rand::seq::{IndexedRandom, SliceRandom};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::catalogue::{Category, ObjectRecord, Split};
+use crate::configuration::SceneConfiguration;
+use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, Quaternion, START_FRACTION};
+use crate::placement::{self, Item, Placed, Rest, Surface};
+use crate::ring::{Ring, Viewpoint};
+use crate::targets::{TargetStatistics, statistics};
+use crate::world::{Stage, WorldError};
+
+/// Layouts that are tried for one episode.
+const ATTEMPTS: u64 = 80;
+/// Pixels from which a target counts as seen (the smallest region that may end a search).
+const SEEN_PX: u32 = 500;
+/// Share of what could be seen of the target that some viewpoint must show.
+const WELL_SEEN: f32 = 0.8;
+/// Pixels that the target would have at the start if it stood alone, at least: its hiding must come
+/// from other objects, not from being far away or cut by the picture's edge.
+const START_UNOCCLUDED_PX: u32 = 500;
+/// Chance of a further valid object among the distractors, for each of two.
+const SECOND_TARGET: f64 = 0.3;
+
+/// Categories valid for each verb.
+pub type Validity = BTreeMap<String, Vec<Category>>;
+
+/// What is asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Request {
+    /// Name of the scene.
+    pub scene: String,
+    /// Verb; must be in the validity table.
+    pub verb: String,
+    /// The query in words.
+    pub query: String,
+    /// Seed.
+    pub seed: u64,
+    /// Identifier that the episode gets.
+    pub episode_id: String,
+}
+
+/// Why layouts were thrown away, and how often.
+pub type Rejections = BTreeMap<&'static str, u32>;
+
+/// Why no episode was made.
+#[derive(Debug, thiserror::Error)]
+pub enum GenerateError {
+    /// The verb has no row in the validity table.
+    #[error("unknown verb `{found}`; known verbs: {}", known.join(", "))]
+    Verb {
+        /// Verb asked for.
+        found: String,
+        /// Verbs that exist.
+        known: Vec<String>,
+    },
+    /// No object of the split can serve the verb.
+    #[error("no object of split {split} is valid for `{verb}`")]
+    NoTarget {
+        /// Verb.
+        verb: String,
+        /// Split.
+        split: Split,
+    },
+    /// Every layout was thrown away.
+    #[error("no episode for `{verb}` in scene `{scene}` with seed {seed} after {ATTEMPTS} layouts: {rejections:?}")]
+    Exhausted {
+        /// Verb.
+        verb: String,
+        /// Scene.
+        scene: String,
+        /// Seed.
+        seed: u64,
+        /// Reasons and counts.
+        rejections: Rejections,
+    },
+    /// Objects, scenes or renderer.
+    #[error(transparent)]
+    World(#[from] WorldError),
+}
+
+impl From<crate::configuration::ConfigurationError> for GenerateError {
+    fn from(error: crate::configuration::ConfigurationError) -> Self {
+        Self::World(error.into())
+    }
+}
+
+/// Looks and handling: things of one family are near misses of each other.
+fn family(category: Category) -> u8 {
+    use Category as C;
+    match category {
+        C::Mug | C::Bowl | C::Pitcher | C::WaterBottle | C::Teapot => 0,
+        C::Sponge | C::Towel | C::Book => 1,
+        _ => 2,
+    }
+}
+
+/// A target and its distractors, the target first.
+fn choose<'a>(
+    stage: &'a Stage,
+    scene: &SceneConfiguration,
+    valid: &[Category],
+    rng: &mut ChaCha8Rng,
+) -> Option<Vec<&'a ObjectRecord>> {
+    let mut all: Vec<&ObjectRecord> = stage.catalogue().of(scene.split).collect();
+    let mut categories: Vec<Category> = all.iter().map(|r| r.category).filter(|c| valid.contains(c)).collect();
+    categories.dedup();
+    let category = *categories.choose(rng)?;
+    let mine: Vec<&ObjectRecord> = all.iter().copied().filter(|r| r.category == category).collect();
+    let target = *mine.choose(rng)?;
+    all.retain(|r| r.id != target.id);
+    all.shuffle(rng);
+    let [low, high] = scene.clutter.distractors;
+    let wanted = rng.random_range(low..=high) as usize;
+    let mut chosen = vec![target];
+    let mut seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET)).count();
+    let near = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == family(category);
+    let tall = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == 0;
+    for (rule, count) in [(&near as &dyn Fn(&ObjectRecord) -> bool, 3), (&tall, 3), (&|_: &ObjectRecord| true, wanted)]
+    {
+        let mut left = count.min((wanted + 1).saturating_sub(chosen.len()));
+        all.retain(|r| {
+            let second = valid.contains(&r.category);
+            if left == 0 || !rule(r) || (second && seconds == 0) {
+                return true;
+            }
+            left -= 1;
+            seconds -= usize::from(second);
+            chosen.push(*r);
+            false
+        });
+    }
+    Some(chosen)
+}
+
+fn object(instance_id: u32, record: &ObjectRecord, placed: &Placed) -> EpisodeObject {
+    let q = placed.rotation;
+    EpisodeObject {
+        instance_id,
+        model_id: record.id.clone(),
+        category: record.category,
+        translation: placed.translation.to_array(),
+        rotation: Quaternion { w: q.w, x: q.x, y: q.y, z: q.z },
+    }
+}
+
+/// Lays the chosen things out, tall ones right after the target so that they come close to it.
+fn lay(
+    stage: &Stage,
+    scene: &SceneConfiguration,
+    mut records: Vec<&ObjectRecord>,
+    rng: &mut ChaCha8Rng,
+) -> Result<Result<Vec<EpisodeObject>, &'static str>, WorldError> {
+    records[1..].sort_by(|a, b| b.size_m[2].total_cmp(&a.size_m[2]));
+    let models = records.iter().map(|r| stage.model(&r.id)).collect::<Result<Vec<_>, _>>()?;
+    let rests: Vec<Vec<Rest>> = records
+        .iter()
+        .map(|r| r.resting.iter().map(|p| Rest { rotation: p.rotation(), probability: p.probability }).collect())
+        .collect();
+    let items: Vec<Item<'_>> =
+        models.iter().zip(&rests).map(|(model, rests)| Item { model: model.as_ref(), rests }).collect();
+    let mut surface = Surface::of(scene);
+    // The heap is not always in the middle of the table.
+    surface.center += Vec2::from_angle(rng.random_range(0.0..std::f32::consts::TAU)) * surface.extent * 0.15;
+    let Ok(placed) = placement::place(&items, &surface, rng) else { return Ok(Err("no room on the table")) };
+    let mut ids: Vec<u32> = (1..=records.len() as u32).collect();
+    ids.shuffle(rng);
+    let objects = records.iter().zip(&placed).zip(ids).map(|((r, p), id)| object(id, r, p)).collect();
+    Ok(Ok(objects))
+}
+
+/// A start from which the target is partly hidden and no other valid thing stands in full view.
+fn choose_start(targets: &[TargetStatistics], rng: &mut ChaCha8Rng) -> Option<Viewpoint> {
+    let (target, others) = targets.split_first()?;
+    let hidden = |v: &Viewpoint| {
+        let fraction = target.fraction(*v);
+        (START_FRACTION[0]..=START_FRACTION[1]).contains(&fraction)
+            && target.unoccluded_px[v.index()] >= START_UNOCCLUDED_PX
+            && !others.iter().any(|o| o.fraction(*v) > START_FRACTION[1] && o.visible_px[v.index()] >= SEEN_PX)
+    };
+    let starts: Vec<Viewpoint> = Viewpoint::all().filter(hidden).collect();
+    starts.choose(rng).copied()
+}
+
+/// Makes the episode of a request, and counts why layouts before it were thrown away. The same
+/// request gives the same episode.
+pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<(Episode, Rejections), GenerateError> {
+    let scene = stage.scene(&request.scene)?;
+    let valid = validity.get(&request.verb).ok_or_else(|| GenerateError::Verb {
+        found: request.verb.clone(),
+        known: validity.keys().cloned().collect(),
+    })?;
+    let ring = Ring::of(scene);
+    let mut rejections = Rejections::new();
+    for attempt in 0..ATTEMPTS {
+        let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+        rng.set_stream(attempt);
+        let records = choose(stage, scene, valid, &mut rng)
+            .ok_or_else(|| GenerateError::NoTarget { verb: request.verb.clone(), split: scene.split })?;
+        let mut reject = |reason| *rejections.entry(reason).or_insert(0) += 1;
+        let objects = match lay(stage, scene, records, &mut rng)? {
+            Ok(objects) => objects,
+            Err(reason) => {
+                reject(reason);
+                continue;
+            }
+        };
+        let renderer = stage.renderer(scene, &objects, false)?;
+        let middles = stage.middles(&objects)?;
+        let asked: Vec<_> =
+            objects.iter().zip(middles).filter(|(o, _)| valid.contains(&o.category)).map(|p| p.1).collect();
+        let targets = statistics(&renderer, &ring, &asked);
+        if !targets[0].well_seen(SEEN_PX, WELL_SEEN) {
+            reject("the target is never seen well");
+            continue;
+        }
+        match choose_start(&targets, &mut rng) {
+            Some(start) => return Ok((assemble(request, scene, objects, targets, start), rejections)),
+            None => reject("no view where the target is partly hidden"),
+        }
+    }
+    Err(GenerateError::Exhausted {
+        verb: request.verb.clone(),
+        scene: request.scene.clone(),
+        seed: request.seed,
+        rejections,
+    })
+}
+
+fn assemble(
+    request: &Request,
+    scene: &SceneConfiguration,
+    mut objects: Vec<EpisodeObject>,
+    statistics: Vec<TargetStatistics>,
+    start: Viewpoint,
+) -> Episode {
+    let target = objects[0].instance_id;
+    let valid_target_ids: Vec<u32> = statistics.iter().map(|s| s.instance_id).collect();
+    let distractor_ids = objects[1..].iter().map(|o| o.instance_id).collect();
+    let mut labels: Vec<String> = vec![];
+    for o in objects.iter().filter(|o| valid_target_ids.contains(&o.instance_id)) {
+        if !labels.iter().any(|l| l == o.category.id()) {
+            labels.push(o.category.id().to_owned());
+        }
+    }
+    objects.sort_by_key(|o| o.instance_id);
+    Episode {
+        schema_version: EPISODE_SCHEMA_VERSION,
+        episode_id: request.episode_id.clone(),
+        scene_id: scene.name.clone(),
+        split: scene.split,
+        seed: request.seed,
+        query: request.query.clone(),
+        verb: request.verb.clone(),
+        target,
+        objects,
+        valid_target_ids,
+        distractor_ids,
+        candidate_sets: BTreeMap::from([("oracle".to_owned(), labels)]),
+        start_node: start.node(),
+        start_pitch: start.pitch(),
+        statistics,
+    }
+}
+
+/// The requests of a set: `count` episodes over the split's scenes in turn, verbs evenly in an order
+/// drawn from `seed`. `queries` lists for each verb the words that it is asked with.
+pub fn requests(
+    scenes: &[SceneConfiguration],
+    split: Split,
+    queries: &BTreeMap<String, Vec<String>>,
+    count: usize,
+    seed: u64,
+) -> Vec<Request> {
+    let scenes: Vec<_> = scenes.iter().filter(|s| s.split == split && !s.weak_texture).collect();
+    let verbs: Vec<(&String, &Vec<String>)> = queries.iter().filter(|(_, words)| !words.is_empty()).collect();
+    if scenes.is_empty() || verbs.is_empty() {
+        return vec![];
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut order = vec![];
+    (0..count)
+        .map(|i| {
+            if order.is_empty() {
+                order = (0..verbs.len()).collect();
+                order.shuffle(&mut rng);
+            }
+            let (verb, words) = verbs[order.pop().unwrap_or(0)];
+            Request {
+                scene: scenes[i % scenes.len()].name.clone(),
+                verb: verb.clone(),
+                query: words[rng.random_range(0..words.len())].clone(),
+                // 53 bits survive readers that keep JSON numbers as doubles.
+                seed: rng.random::<u64>() >> 11,
+                episode_id: format!("{split}_{i:04}"),
+            }
+        })
+        .collect()
+}
+
+/// Makes all requested episodes, in their order, in parallel; the result does not depend on threads.
+pub fn episodes(
+    stage: &Stage,
+    validity: &Validity,
+    requests: &[Request],
+) -> Result<Vec<(Episode, Rejections)>, GenerateError> {
+    requests.par_iter().map(|r| episode(stage, validity, r)).collect()
+}

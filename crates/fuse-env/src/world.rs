@@ -1,0 +1,201 @@
+//! A laid table that can be looked at: what an episode describes, ready to render.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use fuse_camera::Camera;
+use fuse_render::{Frame, Instance, Light, Model, RenderOptions, Renderer, Scene, SceneError, SoftBox};
+use glam::{Affine3A, Vec3};
+use nalgebra::Point3;
+
+use crate::catalogue::{Catalogue, CatalogueError};
+use crate::configuration::{self, ConfigurationError, Lighting, SceneConfiguration};
+use crate::episode::{Episode, EpisodeError, EpisodeObject};
+use crate::ring::{Ring, Viewpoint};
+use crate::room;
+
+/// Linear radiance behind everything (through the missing ceiling).
+const BACKGROUND: Vec3 = Vec3::new(0.62, 0.63, 0.65);
+
+/// Why a world could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldError {
+    /// The objects.
+    #[error(transparent)]
+    Catalogue(#[from] CatalogueError),
+    /// The scenes.
+    #[error(transparent)]
+    Configuration(#[from] ConfigurationError),
+    /// The episode.
+    #[error(transparent)]
+    Episode(#[from] EpisodeError),
+    /// The renderer.
+    #[error("cannot render scene `{scene}`: {source}")]
+    Scene {
+        /// Scene name.
+        scene: String,
+        /// What the renderer said.
+        source: SceneError,
+    },
+}
+
+type Cache = Mutex<HashMap<String, Arc<[Arc<Model>]>>>;
+
+/// Objects and scenes, each loaded or painted once and shared by all worlds.
+#[derive(Debug)]
+pub struct Stage {
+    catalogue: Catalogue,
+    scenes: Vec<SceneConfiguration>,
+    models: Cache,
+    rooms: Cache,
+}
+
+impl Stage {
+    /// From the folder of objects and the scenes file.
+    pub fn load(objects: &Path, scenes: &Path) -> Result<Self, WorldError> {
+        Ok(Self::new(Catalogue::load(objects)?, configuration::load(scenes)?))
+    }
+
+    /// From what is loaded already.
+    pub fn new(catalogue: Catalogue, scenes: Vec<SceneConfiguration>) -> Self {
+        Self { catalogue, scenes, models: Cache::default(), rooms: Cache::default() }
+    }
+
+    /// The objects.
+    pub fn catalogue(&self) -> &Catalogue {
+        &self.catalogue
+    }
+
+    /// The scenes.
+    pub fn scenes(&self) -> &[SceneConfiguration] {
+        &self.scenes
+    }
+
+    /// The scene called `name`.
+    pub fn scene(&self, name: &str) -> Result<&SceneConfiguration, ConfigurationError> {
+        configuration::find(&self.scenes, name)
+    }
+
+    /// The model of an object of the catalogue.
+    pub fn model(&self, id: &str) -> Result<Arc<Model>, WorldError> {
+        let models = cached(&self.models, id, || {
+            let record = self.catalogue.get(id).ok_or_else(|| EpisodeError::Invalid {
+                episode: "being loaded".into(),
+                reason: format!("unknown object `{id}`"),
+            })?;
+            Ok::<_, WorldError>(vec![self.catalogue.model(record)?])
+        })?;
+        Ok(models[0].clone())
+    }
+
+    /// The models of a room. `painted` false leaves all surfaces at a few texels: for counting
+    /// pixels, where colour does not matter.
+    fn room(&self, scene: &SceneConfiguration, painted: bool) -> Result<Arc<[Arc<Model>]>, WorldError> {
+        cached(&self.rooms, &format!("{} {painted}", scene.name), || {
+            let mut scene = scene.clone();
+            if !painted {
+                let (r, t) = (&mut scene.room, &mut scene.table);
+                for s in [&mut r.floor, &mut r.wall, &mut r.wood, &mut t.top, &mut t.frame] {
+                    s.texels = 64;
+                }
+            }
+            Ok(room::build(&scene))
+        })
+    }
+
+    /// A renderer of a scene with `objects` on its table; `painted` false is for counting pixels.
+    pub fn renderer(
+        &self,
+        scene: &SceneConfiguration,
+        objects: &[EpisodeObject],
+        painted: bool,
+    ) -> Result<Renderer, WorldError> {
+        let room = self.room(scene, painted)?;
+        let mut instances: Vec<Instance> =
+            room.iter().map(|m| Instance { model: m.clone(), transform: Affine3A::IDENTITY, id: 0 }).collect();
+        for object in objects {
+            let model = self.model(&object.model_id)?;
+            instances.push(Instance { model, transform: object.transform(), id: object.instance_id });
+        }
+        let scene_3d = Scene { instances, light: light(&scene.light), background: BACKGROUND };
+        let options = RenderOptions { shadows: painted, ambient_occlusion: painted, ..RenderOptions::default() };
+        Renderer::new(scene_3d, &options).map_err(|source| WorldError::Scene { scene: scene.name.clone(), source })
+    }
+
+    /// Instance ids with the middle of each object's bounding box in the world, metres.
+    pub fn middles(&self, objects: &[EpisodeObject]) -> Result<Vec<(u32, Point3<f64>)>, WorldError> {
+        objects
+            .iter()
+            .map(|object| {
+                let (model, transform) = (self.model(&object.model_id)?, object.transform());
+                let points = model.meshes.iter().flat_map(|m| &m.positions).map(|p| transform.transform_point3(*p));
+                let (low, high) =
+                    points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+                let m = (low + high).as_dvec3() / 2.0;
+                Ok((object.instance_id, Point3::new(m.x, m.y, m.z)))
+            })
+            .collect()
+    }
+}
+
+fn cached<E>(cache: &Cache, key: &str, make: impl FnOnce() -> Result<Vec<Model>, E>) -> Result<Arc<[Arc<Model>]>, E> {
+    // A poisoned lock still holds whole entries: they are inserted in one step.
+    if let Some(found) = cache.lock().unwrap_or_else(PoisonError::into_inner).get(key) {
+        return Ok(found.clone());
+    }
+    // Made outside the lock, because painting uses the thread pool that may be waiting for it.
+    let made: Arc<[Arc<Model>]> = make()?.into_iter().map(Arc::new).collect();
+    Ok(cache.lock().unwrap_or_else(PoisonError::into_inner).entry(key.to_owned()).or_insert(made).clone())
+}
+
+/// The renderer's light of a scene's.
+pub fn light(lighting: &Lighting) -> Light {
+    Light {
+        position: Vec3::from_array(lighting.position_m),
+        radius: lighting.radius_m,
+        intensity: Vec3::from_array(lighting.intensity),
+        sky: Vec3::from_array(lighting.sky),
+        ground: Vec3::from_array(lighting.ground),
+        soft_boxes: lighting
+            .glows
+            .iter()
+            .map(|g| SoftBox {
+                direction: Vec3::from_array(g.direction),
+                color: Vec3::from_array(g.color),
+                sharpness: g.sharpness,
+            })
+            .collect(),
+        exposure: lighting.exposure,
+    }
+}
+
+/// An episode's scene, ready to be seen from any camera.
+pub struct World {
+    renderer: Renderer,
+    ring: Ring,
+}
+
+impl World {
+    /// Checks the episode and prepares its scene.
+    pub fn load(episode: &Episode, stage: &Stage) -> Result<Self, WorldError> {
+        episode.validate(stage.catalogue(), stage.scenes())?;
+        let scene = stage.scene(&episode.scene_id)?;
+        Ok(Self { renderer: stage.renderer(scene, &episode.objects, true)?, ring: Ring::of(scene) })
+    }
+
+    /// The scene's viewpoints.
+    pub fn ring(&self) -> &Ring {
+        &self.ring
+    }
+
+    /// The picture from a viewpoint.
+    pub fn render(&self, viewpoint: Viewpoint) -> Frame {
+        self.render_camera(&self.ring.camera(viewpoint))
+    }
+
+    /// The picture from any camera.
+    pub fn render_camera(&self, camera: &Camera) -> Frame {
+        self.renderer.render(camera)
+    }
+}
