@@ -1,5 +1,7 @@
 """The compiled part of `fuse_grounding`."""
 
+from collections.abc import Sequence
+from os import PathLike
 from typing import Any, final
 
 import numpy as np
@@ -104,3 +106,26 @@ def depth_proximity(
 def grounding_score(
     score: float, proximity: float | None, pixels: int, weights: tuple[float, float], min_pixels: int
 ) -> float | None: ...
+
+# render
+@final
+class Model:
+    @property
+    def triangle_count(self) -> int: ...
+    @property
+    def bounds(self) -> tuple[list[float], list[float]]: ...
+    @property
+    def materials(self) -> list[str]: ...
+    def save_glb(self, path: str | PathLike[str]) -> None: ...
+
+def load_model(path: str | PathLike[str]) -> Model: ...
+def render_models(
+    models: Sequence[Model],
+    transforms: NDArray[np.float32],
+    camera: Camera,
+    *,
+    ids: Sequence[int] | None = None,
+    floor: float | None = 0.0,
+    background: Sequence[float] = ...,
+    shadows: bool = True,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint32]]: ...
