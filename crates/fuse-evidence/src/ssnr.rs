@@ -19,7 +19,6 @@ mod grey;
 mod rows;
 
 use fuse_camera::Buffer;
-use rayon::prelude::*;
 
 use crate::error::{EvidenceError, finite, in_range};
 use crate::view::View;
@@ -166,48 +165,61 @@ fn compare(
     options: &SsnrOptions,
     finish: Finish,
 ) -> Result<Buffer<f32>, EvidenceError> {
-    match rendered {
+    let data = match rendered {
         Rendered::U8(r) => {
             r.same_size("rendered", &observed, "observed")?;
-            Ok(bands(observed, r, options, finish))
+            bands(observed, r, options, finish)
         }
         Rendered::Quantized(r) => {
             r.same_size("rendered", &observed, "observed")?;
-            finite("rendered", r.as_slice().as_flattened())?;
-            Ok(bands(observed, grey::Quantized(r), options, finish))
+            let bytes = grey::quantize(r)?;
+            bands(observed, View::new("rendered", r.width(), r.height(), &bytes)?, options, finish)
         }
         Rendered::F32(r) => {
             r.same_size("rendered", &observed, "observed")?;
             finite("rendered", r.as_slice().as_flattened())?;
-            Ok(bands(observed, r, options, finish))
+            bands(observed, r, options, finish)
         }
-    }
+    };
+    let expected = data.len();
+    Buffer::from_vec(observed.width(), observed.height(), data).map_err(|_| EvidenceError::Length {
+        argument: "observed",
+        found: 0,
+        expected,
+    })
 }
 
 /// Splits the image into bands of rows, one task each. A pixel's value does not depend on the
 /// band that it is in: window sums are added in a fixed order, never updated from a neighbour's.
-fn bands(observed: View<'_, [u8; 3]>, rendered: impl GreySource, options: &SsnrOptions, finish: Finish) -> Buffer<f32> {
+fn bands(observed: View<'_, [u8; 3]>, rendered: impl GreySource, options: &SsnrOptions, finish: Finish) -> Vec<f32> {
     let (width, height) = (observed.width() as usize, observed.height() as usize);
     // The kernels count grey in whole units, so ε is what is scaled.
     let unit = UNITS / f64::from(options.gray_range);
     let band = Band { width, height, epsilon: (EPSILON * unit * unit) as f32, gradient: options.gradient, finish };
-    let mut out = Buffer::filled(observed.width(), observed.height(), 0.0);
-    let rows = rows_per_band(height);
-    if rows >= height {
-        band.run(0, &observed, &rendered, out.as_mut_slice());
-    } else {
-        let chunks = out.as_mut_slice().par_chunks_mut(rows * width).enumerate();
-        chunks.for_each(|(i, chunk)| band.run(i * rows, &observed, &rendered, chunk));
-    }
-    out
+    let mut data: Vec<f32> = Vec::with_capacity(width * height);
+    let mut parts = data.spare_capacity_mut()[..width * height].chunks_mut(rows_per_band(height) * width);
+    rayon::in_place_scope(|scope| {
+        // This thread takes the first band, which saves it from waiting for another to wake.
+        let mine = parts.next();
+        for (i, part) in (1..).zip(parts) {
+            let rendered = &rendered;
+            scope.spawn(move |_| band.run(i * rows_per_band(height), &observed, rendered, part));
+        }
+        if let Some(part) = mine {
+            band.run(0, &observed, &rendered, part);
+        }
+    });
+    // SAFETY: the parts make up the whole, and each band has written all of its own; a band that
+    // panics is passed on by the scope.
+    unsafe { data.set_len(width * height) };
+    data
 }
 
-/// Tall bands repeat little work at their edges (ten rows each), short ones share it out evenly.
+/// An even number of rows, so that bands of any height pair the same rows. One band a thread: each
+/// makes ten rows of its neighbours again.
 fn rows_per_band(height: usize) -> usize {
-    match rayon::current_num_threads() {
-        1 => height,
-        threads => height.div_ceil(2 * threads).max(40),
-    }
+    let threads = rayon::current_num_threads();
+    height.div_ceil(2 * threads).max(16) * 2
 }
 
 #[cfg(test)]

@@ -4,6 +4,9 @@
 //! so are the Sobel sums of it (at most 1 020 000 < 2²⁴): `f32` holds them without rounding, and
 //! two colours of the same grey have no gradient between them.
 
+use rayon::prelude::*;
+
+use crate::error::{EvidenceError, finite};
 use crate::view::View;
 
 /// White in units of a grey row.
@@ -84,16 +87,47 @@ impl GreySource for View<'_, [f32; 3]> {
     }
 }
 
-/// A float image seen through 8 bits: `floor(255 clip(v, 0, 1) + 1/2)`.
-pub struct Quantized<'a>(pub View<'a, [f32; 3]>);
-
-impl GreySource for Quantized<'_> {
-    #[inline(always)]
-    fn row<const AVX2: bool>(&self, y: usize, out: &mut [f32]) {
-        // Finite and in range, so truncation is the floor.
-        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as i32;
-        for (o, &[r, g, b]) in out.iter_mut().zip(self.0.row(y)) {
-            *o = (299 * byte(r) + 587 * byte(g) + 114 * byte(b)) as f32;
-        }
+/// A float image in 8 bits, `255 clip(v, 0, 1)` to the nearest (ties to even), in parallel.
+///
+/// # Errors
+/// NaN or an infinity.
+pub fn quantize(view: View<'_, [f32; 3]>) -> Result<Vec<[u8; 3]>, EvidenceError> {
+    const BLOCK: usize = 1 << 14;
+    let mut bytes = vec![[0u8; 3]; view.as_slice().len()];
+    let blocks = bytes.par_chunks_mut(BLOCK).zip(view.as_slice().par_chunks(BLOCK));
+    let all_finite = blocks
+        .map(|(out, values)| block_to_bytes(values.as_flattened(), out.as_flattened_mut()))
+        .reduce(|| true, |a, b| a && b);
+    if !all_finite {
+        finite("rendered", view.as_slice().as_flattened())?;
     }
+    Ok(bytes)
+}
+
+/// Whether all values were finite; bytes of those that are not mean nothing.
+fn block_to_bytes(values: &[f32], out: &mut [u8]) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    if fuse_camera::simd::level() == fuse_camera::simd::Level::Avx2Fma {
+        // SAFETY: the level is only chosen on a machine that has AVX2.
+        return unsafe { block_to_bytes_avx2(values, out) };
+    }
+    block_to_bytes_at(values, out)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn block_to_bytes_avx2(values: &[f32], out: &mut [u8]) -> bool {
+    block_to_bytes_at(values, out)
+}
+
+#[inline(always)]
+fn block_to_bytes_at(values: &[f32], out: &mut [u8]) -> bool {
+    let mut largest = 0;
+    for (o, &v) in out.iter_mut().zip(values) {
+        // The exponent of NaN and infinities is all ones.
+        largest = largest.max(v.to_bits() & 0x7f80_0000);
+        // At 2²³ floats are whole numbers: the sum is rounded, and its last byte is the number.
+        *o = (v.clamp(0.0, 1.0) * 255.0 + 8_388_608.0).to_bits() as u8;
+    }
+    largest < 0x7f80_0000
 }

@@ -3,6 +3,8 @@
 //! Each is inlined into a caller that is compiled for the level in use; `FMA` says whether that
 //! level has a fused multiply-add (without one, `mul_add` is a slow library call).
 
+use std::mem::MaybeUninit;
+
 use super::{CLIP_DB, Gradient};
 
 /// Pixels on either side of the centre of a window.
@@ -70,19 +72,36 @@ pub fn reflect_ends(row: &mut [f32], pad: usize) {
     }
 }
 
-/// Sobel gradient `(x, y)` at `x` of three grey rows that are padded by one on the left.
+/// Horizontal half of both Sobel kernels, of a grey row that is padded by one at both ends:
+/// `across = g[x + 1] − g[x − 1]`, `smooth = g[x − 1] + 2 g[x] + g[x + 1]`.
 #[inline(always)]
-fn sobel<const FMA: bool>(above: &[f32], row: &[f32], below: &[f32], x: usize) -> (f32, f32) {
-    let (a0, a1, a2) = (above[x], above[x + 1], above[x + 2]);
-    let (b0, b2) = (row[x], row[x + 2]);
-    let (c0, c1, c2) = (below[x], below[x + 1], below[x + 2]);
-    let gx = fma::<FMA>(2.0, b2 - b0, (a2 - a0) + (c2 - c0));
-    let gy = fma::<FMA>(2.0, c1 - a1, (c0 - a0) + (c2 - a2));
-    (gx, gy)
+pub fn horizontal<const FMA: bool>(grey: &[f32], across: &mut [f32], smooth: &mut [f32]) {
+    let n = across.len();
+    let smooth = &mut smooth[..n];
+    let (left, here, right) = (&grey[..n], &grey[1..][..n], &grey[2..][..n]);
+    for x in 0..n {
+        across[x] = right[x] - left[x];
+        smooth[x] = fma::<FMA>(2.0, here[x], left[x] + right[x]);
+    }
 }
 
-/// One row of the two images, three grey rows each, padded by one at both ends.
-pub type Neighbourhood<'a> = [&'a [f32]; 3];
+/// What a row's Sobel gradient is made of.
+#[derive(Clone, Copy)]
+pub struct Neighbourhood<'a> {
+    /// `across` of the row above, of the row and of the row below.
+    pub across: [&'a [f32]; 3],
+    /// `smooth` of the rows above and below.
+    pub smooth: [&'a [f32]; 2],
+}
+
+impl<'a> Neighbourhood<'a> {
+    /// Cut to `n` pixels, so that the compiler sees that all are as long.
+    #[inline(always)]
+    fn cut(&self, n: usize) -> [&'a [f32]; 5] {
+        let ([a, b, c], [d, e]) = (self.across, self.smooth);
+        [&a[..n], &b[..n], &c[..n], &d[..n], &e[..n]]
+    }
+}
 
 /// `signal = |∇I|²` and `noise = (|∇I| − |∇R|)²` or `|∇I − ∇R|²`, both as long as the image is
 /// wide.
@@ -96,13 +115,13 @@ pub fn gradients<const FMA: bool>(
 ) {
     let n = signal.len();
     let noise = &mut noise[..n];
-    let [ia, ib, ic] = [&observed[0][..n + 2], &observed[1][..n + 2], &observed[2][..n + 2]];
-    let [ra, rb, rc] = [&rendered[0][..n + 2], &rendered[1][..n + 2], &rendered[2][..n + 2]];
+    let [ia, ib, ic, id, ie] = observed.cut(n);
+    let [ra, rb, rc, rd, re] = rendered.cut(n);
     match gradient {
         Gradient::Magnitude => {
             for x in 0..n {
-                let (ix, iy) = sobel::<FMA>(ia, ib, ic, x);
-                let (rx, ry) = sobel::<FMA>(ra, rb, rc, x);
+                let (ix, iy) = (fma::<FMA>(2.0, ib[x], ia[x] + ic[x]), ie[x] - id[x]);
+                let (rx, ry) = (fma::<FMA>(2.0, rb[x], ra[x] + rc[x]), re[x] - rd[x]);
                 let s = fma::<FMA>(ix, ix, iy * iy);
                 let d = s.sqrt() - fma::<FMA>(rx, rx, ry * ry).sqrt();
                 signal[x] = s;
@@ -111,13 +130,51 @@ pub fn gradients<const FMA: bool>(
         }
         Gradient::Vector => {
             for x in 0..n {
-                let (ix, iy) = sobel::<FMA>(ia, ib, ic, x);
-                let (rx, ry) = sobel::<FMA>(ra, rb, rc, x);
+                let (ix, iy) = (fma::<FMA>(2.0, ib[x], ia[x] + ic[x]), ie[x] - id[x]);
+                let (rx, ry) = (fma::<FMA>(2.0, rb[x], ra[x] + rc[x]), re[x] - rd[x]);
                 let (dx, dy) = (ix - rx, iy - ry);
                 signal[x] = fma::<FMA>(ix, ix, iy * iy);
                 noise[x] = fma::<FMA>(dx, dx, dy * dy);
             }
         }
+    }
+}
+
+/// What the vertical sums of a pair of rows take from earlier pairs. With rows `s(2k), s(2k + 1)`
+/// of pair `k`: `pair(k) = s(2k) + s(2k + 1)`, `four(k) = pair(k − 1) + pair(k)`.
+pub struct History<'a> {
+    /// `pair(k − 1)` and `pair(k − 5)`.
+    pub pairs: [&'a [f32]; 2],
+    /// `four(k − 1)` and `four(k − 3)`.
+    pub fours: [&'a [f32]; 2],
+    /// `s(2k − 9)`.
+    pub odd: &'a [f32],
+}
+
+/// Sums over eleven rows, ending with the even and the odd row of a pair: all terms positive and
+/// in a fixed order, so that nothing cancels and no bit depends on where a band begins.
+#[inline(always)]
+pub fn vertical(
+    even: &[f32],
+    odd: &[f32],
+    history: &History<'_>,
+    pair: &mut [f32],
+    four: &mut [f32],
+    windows: [&mut [f32]; 2],
+) {
+    let n = pair.len();
+    let (even, odd, four) = (&even[..n], &odd[..n], &mut four[..n]);
+    let ([p1, p5], [f1, f3]) = (history.pairs, history.fours);
+    let (p1, p5, f1, f3, o5) = (&p1[..n], &p5[..n], &f1[..n], &f3[..n], &history.odd[..n]);
+    let [w0, w1] = windows;
+    let (w0, w1) = (&mut w0[..n], &mut w1[..n]);
+    for x in 0..n {
+        let p = even[x] + odd[x];
+        let middle = f1[x] + f3[x];
+        pair[x] = p;
+        four[x] = p1[x] + p;
+        w0[x] = (p5[x] + even[x]) + middle;
+        w1[x] = (o5[x] + p) + middle;
     }
 }
 
@@ -131,46 +188,28 @@ pub fn triples(row: &[f32], out: &mut [f32]) {
     }
 }
 
-/// Sums of eleven neighbours from sums of three: `row` and its `triples` start five pixels left
-/// of the window's centre. Positive terms only, so nothing cancels.
-#[inline(always)]
-fn eleven(row: &[f32], triples: &[f32], x: usize) -> f32 {
-    (triples[x] + triples[x + 3]) + (triples[x + 6] + (row[x + 9] + row[x + 10]))
+/// A row of vertical sums, padded by [`RADIUS`], with its [`triples`].
+#[derive(Clone, Copy)]
+pub struct Sums<'a> {
+    /// The sums.
+    pub row: &'a [f32],
+    /// `row[x] + row[x + 1] + row[x + 2]`.
+    pub triples: &'a [f32],
 }
 
-/// Rows of horizontal sums that the vertical sum needs: `row[-9], row[-10]` of the sums
-/// themselves, `row[-1], row[-2]` to make the next triple, `triple[-3], triple[-6]`.
-pub struct History<'a> {
-    /// Horizontal sums 1, 2, 9 and 10 rows ago.
-    pub rows: [&'a [f32]; 4],
-    /// Vertical triples 3 and 6 rows ago.
-    pub triples: [&'a [f32]; 2],
-}
-
-/// Takes a row (padded by [`RADIUS`]) and its triples through the horizontal sum; writes that and
-/// the vertical triple, and the vertical sum of eleven rows to `window`.
-#[inline(always)]
-pub fn windows(
-    row: &[f32],
-    triples: &[f32],
-    history: &History<'_>,
-    sum: &mut [f32],
-    triple: &mut [f32],
-    window: &mut [f32],
-) {
-    let n = window.len();
-    let (row, triples) = (&row[..n + 10], &triples[..n + 8]);
-    let [r1, r2, r9, r10] = history.rows;
-    let (r1, r2, r9, r10) = (&r1[..n], &r2[..n], &r9[..n], &r10[..n]);
-    let (t3, t6) = (&history.triples[0][..n], &history.triples[1][..n]);
-    let (sum, triple) = (&mut sum[..n], &mut triple[..n]);
-    for x in 0..n {
-        let s = eleven(row, triples, x);
-        let t = (s + r1[x]) + r2[x];
-        sum[x] = s;
-        triple[x] = t;
-        window[x] = (t + t3[x]) + (t6[x] + (r9[x] + r10[x]));
+impl<'a> Sums<'a> {
+    /// The parts of a sum of eleven neighbours, cut to `n` pixels.
+    #[inline(always)]
+    fn parts(&self, n: usize) -> [&'a [f32]; 5] {
+        let (row, triples) = (self.row, self.triples);
+        [&triples[..n], &triples[3..][..n], &triples[6..][..n], &row[9..][..n], &row[10..][..n]]
     }
+}
+
+#[inline(always)]
+fn eleven(parts: &[&[f32]; 5], x: usize) -> f32 {
+    let [a, b, c, d, e] = parts;
+    (a[x] + b[x]) + (c[x] + (d[x] + e[x]))
 }
 
 /// `log₂ v` for finite `v > 0`, to within 4e-7.
@@ -191,30 +230,30 @@ fn log2<const FMA: bool>(v: f32) -> f32 {
 /// `out = offset + scale · clip(10 log₁₀ ((A + ε) / (B + ε)), ±30)`.
 #[inline(always)]
 pub fn decibels<const FMA: bool>(
-    signal: &[f32],
-    noise: &[f32],
+    signal: Sums<'_>,
+    noise: Sums<'_>,
     epsilon: f32,
     scale: f32,
     offset: f32,
-    out: &mut [f32],
+    out: &mut [MaybeUninit<f32>],
 ) {
     const DB_PER_OCTAVE: f32 = 3.010_3;
     let n = out.len();
-    let (signal, noise) = (&signal[..n], &noise[..n]);
+    let (signal, noise) = (signal.parts(n), noise.parts(n));
     for x in 0..n {
-        let ratio = (signal[x] + epsilon) / (noise[x] + epsilon);
+        let ratio = (eleven(&signal, x) + epsilon) / (eleven(&noise, x) + epsilon);
         let db = (DB_PER_OCTAVE * log2::<FMA>(ratio)).clamp(-CLIP_DB, CLIP_DB);
-        out[x] = fma::<FMA>(db, scale, offset);
+        out[x].write(fma::<FMA>(db, scale, offset));
     }
 }
 
 /// `out = A / (B + ε)`.
 #[inline(always)]
-pub fn ratios(signal: &[f32], noise: &[f32], epsilon: f32, out: &mut [f32]) {
+pub fn ratios(signal: Sums<'_>, noise: Sums<'_>, epsilon: f32, out: &mut [MaybeUninit<f32>]) {
     let n = out.len();
-    let (signal, noise) = (&signal[..n], &noise[..n]);
+    let (signal, noise) = (signal.parts(n), noise.parts(n));
     for x in 0..n {
-        out[x] = signal[x] / (noise[x] + epsilon);
+        out[x].write(eleven(&signal, x) / (eleven(&noise, x) + epsilon));
     }
 }
 
