@@ -7,20 +7,30 @@
 //! Quantities: metres, world right-handed with z up; camera x right, y down, z forward; colours
 //! in [0, 1].
 
+mod config;
 pub mod constants;
 mod cpu;
+mod densify;
 mod error;
 mod gaussians;
 mod nearest;
 mod ply;
+#[doc(hidden)]
+pub mod reference;
 mod render;
+mod schedule;
 mod sh;
 mod simd;
 mod stages;
+mod surgery;
 mod table;
+mod trainer;
 
+pub use config::TrainerConfig;
 pub use cpu::StageSeconds;
+pub use densify::Changes;
 pub use error::SplatError;
 pub use gaussians::Gaussians;
 pub use render::{Rendering, loss_gradient, psnr, render, render_at};
 pub use table::{Block, LANES, Table};
+pub use trainer::{RefineStats, Trainer};

@@ -1,0 +1,63 @@
+//! What is due when: rates, degree of the harmonics, densification, resets.
+
+use crate::TrainerConfig;
+use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, ROTATION, SCALE};
+
+/// The harmonics beyond the constant one learn at this fraction of its rate, as in the original.
+const REST_FRACTION: f32 = 1.0 / 20.0;
+
+/// Learning rate of each parameter in iteration `i` (from 1); `extent` in metres.
+///
+/// Position: exp((1 − τ) ln r₀ + τ ln r₁) · extent, τ = min(i/steps, 1).
+pub(crate) fn rates(config: &TrainerConfig, iteration: u32, extent: f32) -> [f32; PARAMETERS] {
+    let tau = (iteration as f32 / config.position_steps as f32).min(1.0);
+    let position = ((1.0 - tau) * config.position_rate.ln() + tau * config.position_rate_end.ln()).exp();
+    let mut rates = [config.feature_rate * REST_FRACTION; PARAMETERS];
+    rates[POSITION..POSITION + 3].fill(position * extent);
+    rates[SCALE..SCALE + 3].fill(config.scale_rate);
+    rates[ROTATION..ROTATION + 4].fill(config.rotation_rate);
+    rates[OPACITY] = config.opacity_rate;
+    rates[DC..REST].fill(config.feature_rate);
+    rates
+}
+
+/// Degree of the harmonics in iteration `i` (from 1).
+pub(crate) fn degree(config: &TrainerConfig, iteration: u32) -> u32 {
+    (iteration / config.degree_interval).min(config.degree)
+}
+
+/// Whether Gaussians are cloned, split and removed after iteration `i`.
+pub(crate) fn densify_after(config: &TrainerConfig, iteration: u32) -> bool {
+    iteration > config.densify_start
+        && iteration < config.densify_end
+        && iteration.is_multiple_of(config.densify_interval)
+}
+
+/// Whether the opacities are reset after iteration `i`.
+pub(crate) fn reset_after(config: &TrainerConfig, iteration: u32) -> bool {
+    iteration > 0 && iteration < config.densify_end && iteration.is_multiple_of(config.opacity_reset_interval)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_official_schedule() {
+        let c = TrainerConfig::default();
+        let position = |i| rates(&c, i, 2.0)[POSITION + 2];
+        assert!((position(0) / 3.2e-4 - 1.0).abs() < 1e-5);
+        assert!((position(15_000) / 3.2e-5 - 1.0).abs() < 1e-4);
+        assert!((position(50_000) / 3.2e-6 - 1.0).abs() < 1e-4);
+        let r = rates(&c, 1, 1.0);
+        assert_eq!(
+            [r[SCALE], r[ROTATION + 3], r[OPACITY], r[DC + 2], r[REST], r[58]],
+            [5e-3, 1e-3, 2.5e-2, 2.5e-3, 1.25e-4, 1.25e-4]
+        );
+        assert_eq!([999, 1000, 2500, 9999].map(|i| degree(&c, i)), [0, 1, 2, 3]);
+        let due: Vec<u32> = (0..16_000).filter(|&i| densify_after(&c, i)).collect();
+        assert_eq!((due[0], due[1], due[due.len() - 1]), (600, 700, 14_900));
+        let due: Vec<u32> = (0..20_000).filter(|&i| reset_after(&c, i)).collect();
+        assert_eq!(due, [3000, 6000, 9000, 12_000]);
+    }
+}

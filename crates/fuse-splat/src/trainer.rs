@@ -1,0 +1,244 @@
+//! Training that stops and resumes while views arrive.
+
+use std::time::Instant;
+
+use fuse_camera::simd::Level;
+use fuse_camera::{Camera, RgbBuffer};
+use rand::seq::SliceRandom as _;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng as _;
+
+use crate::cpu::adam::Step;
+use crate::cpu::loss::Target;
+use crate::cpu::{Pipeline, StageSeconds, lap, project_backward};
+use crate::densify::{Changes, densify};
+use crate::stages::View;
+use crate::surgery::Patient;
+use crate::{Gaussians, SplatError, TrainerConfig, render, schedule};
+
+/// Opacities are reset to at most this, as in the original.
+const RESET_OPACITY: f32 = 0.01;
+
+/// What a call of [`Trainer::refine`] did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RefineStats {
+    /// Iterations of this call.
+    pub iterations: u32,
+    /// Iterations since the trainer was made.
+    pub total_iterations: u32,
+    /// Mean loss of the first tenth of the call (at least one iteration).
+    pub loss_first: f64,
+    /// Mean loss of the last tenth of the call.
+    pub loss: f64,
+    /// Gaussians at the end.
+    pub gaussians: usize,
+    /// Gaussians cloned, split and removed.
+    pub changes: Changes,
+    /// How often opacities were reset.
+    pub opacity_resets: u32,
+    /// Wall-clock seconds of the call.
+    pub seconds: f64,
+    /// The same by stage.
+    pub stages: StageSeconds,
+}
+
+/// Fits Gaussians to views that arrive one by one. Iterations, moments and statistics carry over
+/// from one [`Trainer::refine`] to the next. Same seed, same calls: same bits, at any number of
+/// threads and one SIMD level.
+#[derive(Debug)]
+pub struct Trainer {
+    config: TrainerConfig,
+    level: Level,
+    patient: Patient,
+    views: Vec<(Camera, View, Target)>,
+    /// Views still to come before all are shuffled anew.
+    queue: Vec<usize>,
+    rng: ChaCha8Rng,
+    iteration: u32,
+    densify_due: bool,
+    reset_due: bool,
+    pipeline: Pipeline,
+}
+
+impl Trainer {
+    /// # Errors
+    /// If a setting is out of range (it is named), or there are no Gaussians.
+    pub fn new(gaussians: Gaussians, config: TrainerConfig) -> Result<Self, SplatError> {
+        Self::with_level(fuse_camera::simd::level(), gaussians, config)
+    }
+
+    /// [`Self::new`] with a given SIMD level.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_level(level: Level, gaussians: Gaussians, config: TrainerConfig) -> Result<Self, SplatError> {
+        config.check()?;
+        if gaussians.is_empty() {
+            return Err(SplatError::Input("training needs at least one Gaussian, found none".into()));
+        }
+        Ok(Self {
+            level,
+            patient: Patient::new(gaussians.table),
+            views: Vec::new(),
+            queue: Vec::new(),
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
+            iteration: 0,
+            densify_due: false,
+            reset_due: false,
+            pipeline: Pipeline::new(level),
+            config,
+        })
+    }
+
+    /// Adds a view to train on; returns its index.
+    ///
+    /// # Errors
+    /// If image and camera differ in size, or are larger than 4096 pixels a side.
+    pub fn add_view(&mut self, image: &RgbBuffer, camera: &Camera) -> Result<usize, SplatError> {
+        let view = View::new(camera)?;
+        let target = render::target(self.level, image, &view)?;
+        self.views.push((*camera, view, target));
+        // All views, the new one among them, are due from now on.
+        self.queue.clear();
+        Ok(self.views.len() - 1)
+    }
+
+    /// Replaces a view's camera (after a bundle adjustment, say).
+    ///
+    /// # Errors
+    /// If there is no such view, or the image size differs.
+    pub fn set_camera(&mut self, index: usize, camera: &Camera) -> Result<(), SplatError> {
+        let count = self.views.len();
+        let (old, view, target) = self
+            .views
+            .get_mut(index)
+            .ok_or_else(|| SplatError::Input(format!("view {index} does not exist, there are {count}")))?;
+        let new = View::new(camera)?;
+        if (new.width, new.height) != (target.width, target.height) {
+            return Err(SplatError::Input(format!(
+                "view {index} is {}x{}, its new camera {}x{}",
+                target.width, target.height, new.width, new.height
+            )));
+        }
+        (*old, *view) = (*camera, new);
+        Ok(())
+    }
+
+    /// Adds Gaussians at newly found points, initialised as the first ones were, without moments;
+    /// returns how many were added: no more than `max_gaussians` allows.
+    ///
+    /// # Errors
+    /// As [`Gaussians::add_points`].
+    pub fn add_points(&mut self, xyz: &[[f32; 3]], rgb: &[[f32; 3]]) -> Result<usize, SplatError> {
+        let mut grown = self.gaussians();
+        grown.add_points(xyz, rgb)?;
+        let before = self.patient.len();
+        let added = xyz.len().min(self.config.max_gaussians.saturating_sub(before));
+        for i in before..before + added {
+            self.patient.push(&grown.vector(i));
+        }
+        Ok(added)
+    }
+
+    /// A copy of the Gaussians as they are now.
+    pub fn gaussians(&self) -> Gaussians {
+        Gaussians { table: self.patient.parameters.clone() }
+    }
+
+    /// Iterations since the trainer was made.
+    pub fn iteration(&self) -> u32 {
+        self.iteration
+    }
+
+    /// Number of views.
+    pub fn view_count(&self) -> usize {
+        self.views.len()
+    }
+
+    /// Runs `iterations` more, each on one view; every view comes once before any comes again.
+    ///
+    /// # Errors
+    /// If there are no views.
+    pub fn refine(&mut self, iterations: u32) -> Result<RefineStats, SplatError> {
+        if self.views.is_empty() && iterations > 0 {
+            return Err(SplatError::Input("training needs at least one view, found none".into()));
+        }
+        let start = Instant::now();
+        let extent = self.extent();
+        let mut stats = RefineStats { iterations, ..RefineStats::default() };
+        let mut losses = Vec::with_capacity(iterations as usize);
+        self.pipeline.seconds = StageSeconds::default();
+        for done in 0..iterations {
+            self.maintain(extent, iterations - done, &mut stats);
+            self.iteration += 1;
+            losses.push(self.iterate(extent));
+            self.densify_due |= schedule::densify_after(&self.config, self.iteration);
+            self.reset_due |= schedule::reset_after(&self.config, self.iteration);
+        }
+        let tenth = losses.len().div_ceil(10);
+        let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len().max(1) as f64;
+        stats.loss_first = mean(&losses[..tenth]);
+        stats.loss = mean(&losses[losses.len() - tenth..]);
+        stats.total_iterations = self.iteration;
+        stats.gaussians = self.patient.len();
+        stats.stages = self.pipeline.seconds;
+        stats.seconds = start.elapsed().as_secs_f64();
+        Ok(stats)
+    }
+
+    /// What the last iteration left to do. Done before the next iteration and not after the last,
+    /// so that what is looked at between two calls has been trained since it was changed.
+    fn maintain(&mut self, extent: f32, left: u32, stats: &mut RefineStats) {
+        let mut clock = Instant::now();
+        if std::mem::take(&mut self.densify_due) {
+            let large = self.iteration > self.config.opacity_reset_interval;
+            let changes = densify(&mut self.patient, &self.config, extent, large, &mut self.rng);
+            stats.changes.cloned += changes.cloned;
+            stats.changes.split += changes.split;
+            stats.changes.pruned += changes.pruned;
+        }
+        if self.reset_due && left >= self.config.opacity_reset_margin {
+            self.reset_due = false;
+            self.patient.reset_opacity(RESET_OPACITY);
+            stats.opacity_resets += 1;
+        }
+        lap(&mut clock, &mut self.pipeline.seconds.densify);
+    }
+
+    /// One iteration; returns the loss.
+    fn iterate(&mut self, extent: f32) -> f64 {
+        let index = self.next_view();
+        let (_, view, target) = &self.views[index];
+        let degree = schedule::degree(&self.config, self.iteration);
+        let background = self.config.background;
+        self.pipeline.forward(view, degree, background, &self.patient.parameters, false);
+        let loss = self.pipeline.backward(view, target, self.config.lambda_dssim);
+
+        let mut clock = Instant::now();
+        let step = Step::new(&schedule::rates(&self.config, self.iteration, extent), self.iteration);
+        let Patient { parameters, moments, density } = &mut self.patient;
+        let gathered = self.pipeline.gathered(view, degree);
+        project_backward::step(self.level, gathered, &step, parameters, moments, density);
+        lap(&mut clock, &mut self.pipeline.seconds.project_backward);
+        loss
+    }
+
+    fn next_view(&mut self) -> usize {
+        if self.queue.is_empty() {
+            self.queue = (0..self.views.len()).collect();
+            self.queue.shuffle(&mut self.rng);
+        }
+        self.queue.pop().unwrap_or(0)
+    }
+
+    /// Extent of the scene, metres.
+    fn extent(&self) -> f32 {
+        self.config.extent.unwrap_or_else(|| {
+            let centers: Vec<_> = self.views.iter().map(|(c, ..)| c.pose.center().coords).collect();
+            let mean = centers.iter().sum::<nalgebra::Vector3<f64>>() / centers.len().max(1) as f64;
+            let radius = centers.iter().map(|c| (c - mean).norm()).fold(0.0, f64::max);
+            // A single view has no extent; rates must not vanish.
+            if radius > 0.0 { (1.1 * radius) as f32 } else { 1.0 }
+        })
+    }
+}
