@@ -8,11 +8,11 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = std::env::args().nth(1).unwrap_or_else(|| "preview.png".into());
     let start = Instant::now();
-    let renderer = fuse_render::Renderer::new(common::tabletop(15, 48), &fuse_render::RenderOptions::default())?;
+    let renderer = fuse_render::Renderer::new(common::tabletop(15, 88), &fuse_render::RenderOptions::default())?;
     println!("prepared in {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
     if let Some(repeats) = std::env::args().nth(2) {
         // For profilers: prepare or render many times.
-        let scene = common::tabletop(15, 48);
+        let scene = common::tabletop(15, 88);
         println!("{} triangles", scene.instances.iter().map(|i| i.model.triangle_count()).sum::<usize>());
         for _ in 0..repeats.parse()? {
             fuse_render::Renderer::new(scene.clone(), &fuse_render::RenderOptions::default())?;

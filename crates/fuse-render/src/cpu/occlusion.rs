@@ -22,8 +22,15 @@ const CELL: f32 = 0.008;
 const MAX_CELLS: f32 = 160.0;
 /// The maps are drawn from this many radii away: nearly parallel.
 const DISTANCE: f32 = 8.0;
+/// Blockers farther away than this do not count, metres; nearer ones count the more, the nearer.
+const REACH: f32 = 0.35;
+/// Makes up for the light that `REACH` lets through.
+const GAIN: f32 = 1.35;
 /// The effect fades over this distance at the border of the grid, metres.
 const FADE: f32 = 0.06;
+
+/// A cell that nothing blocks.
+const OPEN: [u8; 4] = [0, 128, 128, 128];
 
 /// The grid.
 pub(super) struct Occlusion {
@@ -57,8 +64,9 @@ impl Occlusion {
             .into_par_iter()
             .with_min_len(4096)
             .enumerate()
-            .map(|(i, near)| if near { grid.blocked(&maps, grid.cell_center(i)) } else { [0, 128, 128, 128] })
+            .map(|(i, near)| if near { grid.blocked(&maps, grid.cell_center(i)) } else { OPEN })
             .collect();
+        grid.blur();
         Some(grid)
     }
 
@@ -99,13 +107,28 @@ impl Occlusion {
     fn blocked(&self, maps: &[DirectionMap], p: Vec3) -> [u8; 4] {
         let mut sum = Vec4::ZERO;
         for map in maps {
-            if map.blocks(p, self.cell * 0.5) {
-                sum += map.direction.extend(1.0);
-            }
+            sum += map.direction.extend(1.0) * map.blocks(p, self.cell * 0.5);
         }
         let o = sum / DIRECTIONS as f32;
         let byte = |v: f32| (v * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
         [byte(o.w), byte(o.x + 128.0 / 255.0), byte(o.y + 128.0 / 255.0), byte(o.z + 128.0 / 255.0)]
+    }
+
+    /// Binomial blur along x and y, against the steps that few directions leave.
+    fn blur(&mut self) {
+        let (nx, ny) = (self.size.x as usize, self.size.y as usize);
+        for (step, length) in [(1, nx), (nx, ny)] {
+            let source = self.cells.clone();
+            self.cells.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, cell)| {
+                let k = i / step % length;
+                let before = if k > 0 { source[i - step] } else { *cell };
+                let after = if k + 1 < length { source[i + step] } else { *cell };
+                let here = *cell;
+                *cell = std::array::from_fn(|c| {
+                    ((u16::from(before[c]) + 2 * u16::from(here[c]) + u16::from(after[c]) + 2) / 4) as u8
+                });
+            });
+        }
     }
 
     /// Blocked shares `(of the cosine hemisphere around the normal, along `direction`)`.
@@ -118,7 +141,7 @@ impl Occlusion {
         let o = self.trilinear((p - self.low) / self.cell - 0.5);
         let (o0, o1) = (o.x, Vec3::new(o.y, o.z, o.w));
         let fade = (border / FADE).min(1.0);
-        let share = |v: f32| v.clamp(0.0, 1.0) * fade;
+        let share = |v: f32| (GAIN * v).clamp(0.0, 1.0) * fade;
         (share(0.5 * o0 + normal.dot(o1)), share(0.5 * o0 + 1.5 * direction.dot(o1)))
     }
 
@@ -173,16 +196,19 @@ impl DirectionMap {
         Self { direction, matrix: matrix.as_mat3(), offset: offset.as_vec3(), inverse_depth }
     }
 
-    /// Whether something lies between `p` and the sky in this direction.
-    fn blocks(&self, p: Vec3, tolerance: f32) -> bool {
+    /// Weight of what lies between `p` and the sky in this direction, in [0, 1].
+    fn blocks(&self, p: Vec3, tolerance: f32) -> f32 {
         let q = self.matrix * p + self.offset;
         let (x, y) = (q.x / q.z, q.y / q.z);
         let side = MAP_SIDE as f32;
         if !(x >= 0.0 && x < side && y >= 0.0 && y < side) {
-            return false;
+            return 0.0;
         }
         let w = self.inverse_depth[y as usize * MAP_SIDE as usize + x as usize];
-        // The nearest surface is nearer than the point by more than the tolerance.
-        w * (q.z - tolerance) > 1.0
+        if w * (q.z - tolerance) <= 1.0 {
+            return 0.0;
+        }
+        let nearness = (1.0 - (q.z - 1.0 / w) / REACH).max(0.0);
+        nearness.sqrt()
     }
 }
