@@ -9,13 +9,12 @@ from fuse_grounding import knowledge
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
 from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
-from fuse_grounding.mapping import GaussianMap
+from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
-from fuse_grounding.perception.embedded import WEIGHTS, EmbeddedSegmenter
+from fuse_grounding.perception.embedded import DEFAULT_PATH, EmbeddedSegmenter
 from fuse_grounding.perception.protocol import Segmenter
 from fuse_grounding.planning.explicit import evidence_maps
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
-from fuse_grounding.registration.protocol import Registrar
 from fuse_grounding.registry import Registry
 
 SEGMENTERS: Registry[Callable[[SegmenterConfig], tuple[Segmenter, Path]]] = Registry("segmenter")
@@ -23,14 +22,14 @@ SEGMENTERS: Registry[Callable[[SegmenterConfig], tuple[Segmenter, Path]]] = Regi
 
 
 def _embedded(config: SegmenterConfig) -> tuple[Segmenter, Path]:
-    weights = config.weights or WEIGHTS
+    weights = config.weights or DEFAULT_PATH
     return EmbeddedSegmenter(weights), weights
 
 
 SEGMENTERS.add("embedded", _embedded)
 
 
-def make_registrar(config: RegistrationConfig) -> Registrar:
+def make_registrar(config: RegistrationConfig) -> PointRegistrar:
     """A fresh registrar."""
     if config.backend == "posed":
         return PosedRegistrar()

@@ -143,36 +143,49 @@ class RegistrationConfig(Section):
 
 
 class MapConfig(Section):
-    """3D Gaussian splatting. Supplement, "3D Gaussian Splatting", unless said otherwise."""
+    """3D Gaussian splatting. Supplement, "3D Gaussian Splatting", unless said otherwise.
+
+    All but the first three are `splat.TrainerConfig`'s, under the same names.
+    """
 
     initial_iterations: Count = 1000
     """Optimisation over the seed views."""
     incremental_iterations: Count = 400
     """Optimisation after each explicit-planning observation."""
-    sh_degree: Annotated[int, Field(ge=0, le=3)] = 3
-    """Degree of the spherical harmonics, raised step by step."""
-    position_lr_init: Positive = 1.6e-4
+    add_points: bool = True
+    """Start new Gaussians at points that registration finds later. Ours."""
+    position_rate: Positive = 1.6e-4
     """Position rate at the start, in units of the scene's extent."""
-    position_lr_final: Positive = 1.6e-6
-    """Position rate at the end of the schedule."""
-    feature_lr: Positive = 2.5e-3
+    position_rate_end: Positive = 1.6e-6
+    """Position rate at the end of its schedule."""
+    position_steps: Count = 30_000
+    """Iterations of that schedule. The official implementation's default."""
+    feature_rate: Positive = 2.5e-3
     """Rate of the colours."""
-    opacity_lr: Positive = 2.5e-2
+    opacity_rate: Positive = 2.5e-2
     """Rate of the opacities."""
-    scale_lr: Positive = 5.0e-3
+    scale_rate: Positive = 5.0e-3
     """Rate of the scales."""
-    rotation_lr: Positive = 1.0e-3
+    rotation_rate: Positive = 1.0e-3
     """Rate of the rotations."""
-    dssim_weight: Fraction = 0.2
+    lambda_dssim: Fraction = 0.2
     """Weight of D-SSIM in the loss. The official implementation's default."""
+    degree: Annotated[int, Field(ge=0, le=3)] = 3
+    """Degree of the spherical harmonics, raised step by step."""
+    degree_interval: Count = 1000
+    """Iterations after which the degree rises by one. The official implementation's default."""
     densify_interval: Count = 100
     """Iterations between densifications."""
-    densify_from: Annotated[int, Field(ge=0)] = 500
+    densify_start: Annotated[int, Field(ge=0)] = 500
     """First iteration that may densify."""
-    densify_until: Annotated[int, Field(ge=0)] = 15_000
+    densify_end: Annotated[int, Field(ge=0)] = 15_000
     """Last iteration that may densify."""
     opacity_reset_interval: Count = 3000
     """Iterations between opacity resets."""
+    max_gaussians: Count = 200_000
+    """No Gaussians are added beyond this number. Ours."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Order of the views and places of split Gaussians. Ours."""
 
 
 class KnowledgeConfig(Section):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -17,17 +18,32 @@ MIN_POINTS = 8
 """With fewer sparse points there is nothing to start from, and the map stays away."""
 
 
+class PointRegistrar(Registrar, Protocol):
+    """A registrar whose sparse points can be told apart over time."""
+
+    def points_by_id(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ids (N,) int64, never given twice; positions (N, 3) metres; colours (N, 3) uint8."""
+        ...
+
+
+def trainer_config(config: MapConfig) -> splat.TrainerConfig:
+    """The trainer's part of the settings."""
+    ours = {"initial_iterations", "incremental_iterations", "add_points"}
+    return splat.TrainerConfig(**config.model_dump(exclude=ours))
+
+
 class GaussianMap:
     """Views wait until a refinement takes them in: amortised steps cost nothing here.
 
     The order of views is the registrar's: seeds first, then the online views.
     """
 
-    def __init__(self, registrar: Registrar, config: MapConfig):
+    def __init__(self, registrar: PointRegistrar, config: MapConfig):
         self._registrar = registrar
         self._config = config
         self._pictures: list[np.ndarray] = []
         self._trainer: splat.Trainer | None = None
+        self._known: set[int] = set()
         self._seeds = 0
         self._taken = 0
         self._refinements = 0
@@ -53,6 +69,8 @@ class GaussianMap:
             for index, camera in enumerate(cameras[: self._taken]):
                 self._trainer.set_camera(index, camera)
             self._take(self._trainer, cameras)
+            if self._config.add_points:
+                self._add_new_points(self._trainer)
             self._trainer.refine(self._config.incremental_iterations)
             self._refinements += 1
 
@@ -77,13 +95,22 @@ class GaussianMap:
             self._trainer.gaussians.save_ply(str(path))
 
     def _start(self, cameras: list[Camera]) -> splat.Trainer | None:
-        points, colours = self._registrar.points()
+        ids, points, colours = self._registrar.points_by_id()
         if len(points) < MIN_POINTS:
             return None
         trainer = splat.Trainer(splat.Gaussians.from_points(points, colours), trainer_config(self._config))
+        self._known = set(ids.tolist())
         self._take(trainer, cameras)
         trainer.refine(self._config.initial_iterations)
         return trainer
+
+    def _add_new_points(self, trainer: splat.Trainer) -> None:
+        """Gaussians at points that were triangulated since the last refinement."""
+        ids, points, colours = self._registrar.points_by_id()
+        new = np.array([i not in self._known for i in ids.tolist()], bool)
+        if new.any():
+            trainer.add_points(points[new], colours[new])
+            self._known.update(ids[new].tolist())
 
     def _take(self, trainer: splat.Trainer, cameras: list[Camera]) -> None:
         """Hands the trainer the views that it does not have yet."""

@@ -15,15 +15,15 @@ def test_defaults_are_the_papers_constants():
     assert c.stopping.weights == (0.7, 0.3)
     assert (c.stopping.near_m, c.stopping.far_m, c.stopping.min_region_px) == (0.3, 1.2, 500)
     assert c.ssnr.alpha == 0.8
-    assert (c.map.initial_iterations, c.map.incremental_iterations, c.map.sh_degree) == (1000, 400, 3)
-    assert (c.map.position_lr_init, c.map.position_lr_final) == (1.6e-4, 1.6e-6)
-    assert (c.map.feature_lr, c.map.opacity_lr, c.map.scale_lr, c.map.rotation_lr) == (
+    assert (c.map.initial_iterations, c.map.incremental_iterations, c.map.degree) == (1000, 400, 3)
+    assert (c.map.position_rate, c.map.position_rate_end) == (1.6e-4, 1.6e-6)
+    assert (c.map.feature_rate, c.map.opacity_rate, c.map.scale_rate, c.map.rotation_rate) == (
         2.5e-3,
         2.5e-2,
         5e-3,
         1e-3,
     )
-    assert (c.map.densify_interval, c.map.densify_from, c.map.densify_until) == (100, 500, 15000)
+    assert (c.map.densify_interval, c.map.densify_start, c.map.densify_end) == (100, 500, 15000)
     assert c.map.opacity_reset_interval == 3000
     assert c.random.seed == 2
 
