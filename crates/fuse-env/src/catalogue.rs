@@ -312,10 +312,13 @@ fn check(record: &ObjectRecord) -> Result<(), String> {
     Ok(())
 }
 
+/// Seed of the shipped catalogue's first instance of every category and split.
+const FIRST_SEED: u64 = 10;
+
 /// The record and the model of one object of the shipped catalogue: instance `index` of a
 /// category and split.
 pub fn make(category: Category, split: Split, index: u64) -> (ObjectRecord, Model) {
-    let seed = index;
+    let seed = FIRST_SEED + index;
     let model = crate::objects::generate(category, split, seed);
     let (low, high) = model.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
     let id = format!("{category}_{split}_{index}");

@@ -19,6 +19,8 @@ mod soft;
 mod stationery;
 pub mod sweep;
 pub mod table;
+#[cfg(test)]
+mod tests;
 pub mod texture;
 mod tools;
 mod vessels;

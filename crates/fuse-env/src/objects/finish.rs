@@ -99,35 +99,13 @@ pub fn ceramic(dice: &mut Dice) -> Material {
     let (edge, width, count) = (dice.any(0.35, 0.75), dice.any(0.04, 0.12), dice.any(3.0, 6.0).floor());
     let canvas = Canvas::new(128, 128, base).each(|uv, _| {
         let color = match family {
-            "speckled" => {
-                if noise.spots(uv, (26, 22)) < 0.22 {
-                    accent * 0.5
-                } else {
-                    base
-                }
-            }
-            "bands" => {
-                let s = (uv.y * count).fract();
-                if s < width * count && uv.y * count < count - 1.0 && uv.y > 0.06 { accent } else { base }
-            }
-            "dipped" => {
-                if uv.y > edge + 0.05 * (noise.smooth(uv, (7, 1)) - 0.5) {
-                    clay
-                } else {
-                    base
-                }
-            }
-            "dots" => {
-                let cell = (uv * Vec2::new(10.0, 6.0)).fract() - 0.5;
-                if cell.length() < 0.27 { accent } else { base }
-            }
+            "speckled" if noise.spots(uv, (26, 22)) < 0.22 => accent * 0.5,
+            "bands" if (uv.y * count).fract() < width * count && uv.y * count < count - 1.0 && uv.y > 0.06 => accent,
+            "dipped" if uv.y > edge + 0.05 * (noise.smooth(uv, (7, 1)) - 0.5) => clay,
+            "dots" if ((uv * Vec2::new(10.0, 6.0)).fract() - 0.5).length() < 0.27 => accent,
             "zigzag" => {
-                let ridge = ((uv.x * 9.0).fract() - 0.5).abs() * 0.16;
-                if (uv.y - edge * 0.8 + ridge).abs() < 0.045 || (uv.y - edge * 0.8 - 0.16 + ridge).abs() < 0.02 {
-                    accent
-                } else {
-                    base
-                }
+                let line = uv.y - edge * 0.8 + ((uv.x * 9.0).fract() - 0.5).abs() * 0.16;
+                if line.abs() < 0.045 || (line - 0.16).abs() < 0.02 { accent } else { base }
             }
             "reactive" => base.lerp(accent, (1.6 * noise.cloud(uv, (4, 3)) + uv.y - 0.9).clamp(0.0, 1.0)),
             _ => base,
@@ -180,32 +158,16 @@ pub fn cloth(dice: &mut Dice) -> Material {
         let edge = uv.y.min(1.0 - uv.y);
         let stripe = |x: f32, share: f32| (x * period).fract() < share;
         let color = match family {
-            "border" => {
-                if (edge - 0.14).abs() < width || (edge - 0.26).abs() < width * 0.4 {
-                    accent
-                } else {
-                    base
-                }
+            "border" if (edge - 0.14).abs() < width || (edge - 0.26).abs() < width * 0.4 => accent,
+            "stripes" if stripe(uv.y, 0.35) => accent,
+            "check" => {
+                let threads = u8::from(stripe(uv.y, 0.5)) + u8::from(stripe(uv.x * 1.5, 0.5));
+                base.lerp(accent, 0.5 * f32::from(threads))
             }
-            "stripes" => {
-                if stripe(uv.y, 0.35) {
-                    accent
-                } else {
-                    base
-                }
-            }
-            "check" => base.lerp(
-                accent,
-                0.5 * (f32::from(u8::from(stripe(uv.y, 0.5))) + f32::from(u8::from(stripe(uv.x * 1.5, 0.5)))),
-            ),
             "gradient" => base.lerp(accent, uv.y),
-            "pinstripe" => {
-                if stripe(uv.y * 2.0, 0.16) {
-                    accent
-                } else {
-                    base
-                }
-            }
+            "pinstripe" if stripe(uv.y * 2.0, 0.16) => accent,
+            // A band without pile near both ends.
+            "plain" if (edge - 0.12).abs() < width * 0.6 => base * 0.82,
             _ => base,
         };
         let weave = 0.5 + 0.25 * ((TAU * uv.x * 64.0).sin() + (TAU * uv.y * 42.0).sin());

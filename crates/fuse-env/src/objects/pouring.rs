@@ -10,7 +10,7 @@ use super::finish::{ceramic, glaze, material, plastic, rubber, steel};
 use super::sweep::{Tip, hollow, revolve, spline, tube};
 use super::table::{Stuff, finishes};
 use super::texture::{Canvas, Noise};
-use super::vessels::{around, handle, profile_radius};
+use super::vessels::{Roots, around, handle, profile_radius};
 
 /// A jug with a pouring lip opposite its handle.
 pub fn pitcher(w: &mut Workshop) {
@@ -51,7 +51,7 @@ pub fn pitcher(w: &mut Workshop) {
     let body = around(revolve(&hollow(&outer, wall, wall * 1.6), 44), height);
     let (inside, outside) = body.split(|c, n| {
         let out = Vec3::new(c.x, c.y, 0.0).normalize_or_zero();
-        n.dot(out) < -0.2 || (n.z > 0.3 && c.z < height * 0.5)
+        n.dot(out) < -0.2 || n.z > 0.75 || (n.z > 0.3 && c.z < height * 0.3)
     });
     let kind = w.dice.unit();
     let skin = if kind < 0.74 {
@@ -74,10 +74,8 @@ pub fn pitcher(w: &mut Workshop) {
     w.add(bend(outside), skin, 50.0);
     w.add(bend(inside), lining, 50.0);
     let z = (height * w.dice.range(0.86, 0.95), height * w.dice.range(0.22, 0.38));
-    let inner = |z: f32| profile_radius(&outer, z) - wall * 0.5;
     let ear = handle(
-        Vec2::new(inner(z.0), z.0),
-        Vec2::new(inner(z.1), z.1),
+        &Roots { outer: &outer, into: wall * 0.5, z, height },
         w.dice.range(0.036, 0.052),
         w.dice.range(0.0, 0.8),
         w.dice.range(0.0050, 0.0068),
@@ -140,8 +138,7 @@ pub fn teapot(w: &mut Workshop) {
     w.add(bore, dark, 50.0);
     let z = (height * w.dice.range(0.74, 0.84), height * w.dice.range(0.20, 0.32));
     let ear = handle(
-        Vec2::new(profile_radius(&outer, z.0) - 0.004, z.0),
-        Vec2::new(profile_radius(&outer, z.1) - 0.004, z.1),
+        &Roots { outer: &outer, into: 0.004, z, height },
         r * w.dice.range(0.55, 0.75),
         w.dice.range(0.0, 0.7),
         w.dice.range(0.0046, 0.0060),

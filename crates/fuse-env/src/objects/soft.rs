@@ -127,9 +127,10 @@ pub fn towel(w: &mut Workshop) {
         "runner" => (w.dice.range(0.105, 0.115), w.dice.range(0.24, 0.27), 3),
         _ => (w.dice.range(0.16, 0.22), w.dice.range(0.16, 0.21), 4),
     };
-    let t = w.dice.range(0.0055, 0.0085);
+    let t = w.dice.range(0.0062, 0.0100);
     let path = fold_path(shape, width, t, layers);
     let total: f32 = path.windows(2).map(|p| p[0].distance(p[1])).sum();
+    let tall = path.iter().map(|p| p.y).fold(0.0, f32::max) + t / 2.0;
     let noise = Noise(w.dice.seed());
     let ripple = w.dice.range(0.0008, 0.0024);
     let skew = w.dice.range(0.0, 0.006);
@@ -142,9 +143,8 @@ pub fn towel(w: &mut Workshop) {
                 .iter()
                 .map(|p| {
                     let uv = Vec2::new(p.x * 2.3 + 0.5, y * 2.3 + 0.5 + p.y * 3.0);
-                    let sag =
-                        ripple * (noise.cloud(uv, (4, 4)) - 0.5) * 2.0 * (p.y / (t * layers as f32)).clamp(0.0, 1.0);
-                    let drift = skew * p.y / (t * layers as f32) * (noise.0 % 3) as f32 * 0.5;
+                    let sag = ripple * (noise.cloud(uv, (4, 4)) - 0.5) * 2.0 * (p.y / tall).clamp(0.0, 1.0);
+                    let drift = skew * p.y / tall * (noise.0 % 3) as f32 * 0.5;
                     Vec3::new(
                         p.x + ripple * 1.5 * (noise.smooth(Vec2::new(y * 3.0, p.y * 40.0), (3, 3)) - 0.5),
                         y * (1.0 + 0.3 * drift) + drift,

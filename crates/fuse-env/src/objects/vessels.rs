@@ -12,10 +12,25 @@ pub fn around(surface: Surface, height: f32) -> Surface {
     surface.map_uv(move |p, uv| Vec2::new(uv.x, 1.0 - (p.z / height).clamp(0.0, 1.0)))
 }
 
-/// A C-, D- or ear-shaped handle in the plane of x and z, from `(x, z)` `top` to `low`,
-/// reaching `out` metres further; `square` squares it.
-pub fn handle(top: Vec2, low: Vec2, out: f32, square: f32, thick: f32, wide: f32) -> Surface {
+/// Where a handle meets a body of revolution: heights of its upper and lower root, radii at which
+/// it ends.
+pub struct Roots<'a> {
+    /// The body's outer profile.
+    pub outer: &'a [Vec2],
+    /// How deep the handle reaches into the body, metres.
+    pub into: f32,
+    /// Heights of the upper and the lower root, metres.
+    pub z: (f32, f32),
+    /// Height of the body, for texture coordinates.
+    pub height: f32,
+}
+
+/// A C-, D- or ear-shaped handle in the plane of x and z that reaches `out` metres beyond its
+/// roots; `square` squares it.
+pub fn handle(roots: &Roots<'_>, out: f32, square: f32, thick: f32, wide: f32) -> Surface {
+    let radius = |z: f32| profile_radius(roots.outer, z) - roots.into;
     let at = |p: Vec2| Vec3::new(p.x, 0.0, p.y);
+    let [top, low] = [roots.z.0, roots.z.1].map(|z| Vec2::new(radius(z), z));
     let down = low.y - top.y;
     let far = top.x.max(low.x) + out;
     let path = spline(
@@ -29,11 +44,16 @@ pub fn handle(top: Vec2, low: Vec2, out: f32, square: f32, thick: f32, wide: f32
         ],
         5,
     );
-    tube(&path, Vec3::Y, 12, [Tip::Flat, Tip::Flat], |t| {
+    let ear = tube(&path, Vec3::Y, 12, [Tip::Flat, Tip::Flat], |t| {
         let flare = 1.0 + 0.35 * (2.0 * t - 1.0).abs().powi(6);
         (thick * flare, wide * flare)
-    })
-    .map_uv(|_, uv| Vec2::new(uv.x, uv.y * 2.0))
+    });
+    // Nothing of it may come out on the other side of the wall.
+    let ear = ear.map(|p| {
+        let (r, least) = (p.truncate().length(), radius(p.z));
+        if r < least { (p.truncate() * (least / r.max(1e-6))).extend(p.z) } else { p }
+    });
+    around(ear, roots.height)
 }
 
 /// A mug with a handle and a hollow inside.
@@ -66,7 +86,7 @@ pub fn mug(w: &mut Workshop) {
     let body = around(revolve(&hollow(&outer, wall, wall * 1.6), 40), height);
     let (inside, outside) = body.split(|c, n| {
         let out = Vec3::new(c.x, c.y, 0.0).normalize_or_zero();
-        n.dot(out) < -0.2 || (n.z > 0.3 && c.z < height * 0.7)
+        n.dot(out) < -0.2 || n.z > 0.7
     });
     let metal = w.dice.chance(0.08);
     let skin = if metal { w.material(steel) } else { w.material(ceramic) };
@@ -83,10 +103,10 @@ pub fn mug(w: &mut Workshop) {
     };
     w.add(inside, lining, 50.0);
     let z = (height * w.dice.range(0.80, 0.88), height * w.dice.range(0.16, 0.28));
-    let at = |z: f32| profile_radius(&outer, z) - wall * 0.5;
     let (thick, wide) = (w.dice.range(0.0034, 0.0050), w.dice.range(0.0055, 0.0085));
     let out = w.dice.range(0.024, 0.034);
-    let ear = handle(Vec2::new(at(z.0), z.0), Vec2::new(at(z.1), z.1), out, w.dice.range(0.0, 1.0), thick, wide);
+    let roots = Roots { outer: &outer, into: wall * 0.5, z, height };
+    let ear = handle(&roots, out, w.dice.range(0.0, 1.0), thick, wide);
     let stuff = if w.dice.chance(0.8) { skin } else { lining };
     w.add(ear, stuff, 60.0);
     w.settle();
@@ -127,7 +147,7 @@ pub fn bowl(w: &mut Workshop) {
     let body = around(revolve(&hollow(&outer, wall, ring + wall), 44), height);
     let (inside, outside) = body.split(|c, n| {
         let out = Vec3::new(c.x, c.y, 0.0).normalize_or_zero();
-        n.dot(out) < -0.1 || (n.z > 0.3 && c.z < height * 0.9)
+        n.dot(out) < -0.1 || n.z > 0.75
     });
     let kind = w.dice.unit();
     let skin = if kind < 0.70 {
@@ -151,7 +171,7 @@ pub fn bowl(w: &mut Workshop) {
         skin
     };
     // What has a grain or scratches shows them at their true size.
-    let flat = |s: Surface| if (0.70..0.90).contains(&kind) { s.uv_box(Vec2::new(0.10, 0.20)) } else { s };
+    let flat = |s: Surface| if kind >= 0.70 { s.uv_box(Vec2::new(0.10, 0.20)) } else { s };
     w.add(flat(outside), skin, 50.0);
     w.add(flat(inside), lining, 50.0);
     w.settle();
