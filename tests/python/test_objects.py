@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from pathlib import Path
@@ -23,7 +24,10 @@ CATEGORIES = [name for name, _ in _core.object_categories()]
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A catalogue of the two categories that are quickest to make."""
     folder = tmp_path_factory.mktemp("objects") / "small"
-    assert execute(["objects", "generate", "--out", str(folder), "--category", "ruler", "--category", "book"]) == 0
+    assert (
+        execute(["objects", "generate", "--out", str(folder), "--category", "ruler", "--category", "book"])
+        == 0
+    )
     return folder
 
 
@@ -74,16 +78,25 @@ def test_preview_is_a_sheet_of_distinct_pictures(small: Path, tmp_path: Path):
     assert sheet.shape == (2 * 64, 130 + 8 * 48, 3)
     cells = [sheet[:48, 130 + 48 * k : 178 + 48 * k].astype(int) for k in range(8)]
     assert all(cell.std() > 8 for cell in cells)
-    assert all(np.abs(a - b).mean() > 2 for a, b in zip(cells, cells[1:], strict=False))
+    assert all(np.abs(a - b).mean() > 2 for a, b in itertools.pairwise(cells))
 
 
-def test_lying_and_standing_pictures_differ():
+def test_things_rest_in_several_ways():
     catalogue = _core.ObjectCatalogue(str(SHIPPED))
-    book = next(r for r in catalogue.records() if r["category"] == "book" and len(r["resting"]) > 1)
-    flat, standing = (catalogue.preview(book["id"], 64, 0.5, pose).astype(int) for pose in (0, 1))
-    assert np.abs(flat - standing).mean() > 5
+    for category, tall in {"mug": False, "water_bottle": False, "book": True}.items():
+        # Apart from their usual pose, mugs and bottles lie, books stand.
+        record = next(r for r in catalogue.records() if r["category"] == category)
+        usual, *others = record["resting"]
+        assert usual["probability"] > 0.5
+        change = [abs(pose["quaternion"][3]) for pose in others]
+        assert any(0.55 < w < 0.85 for w in change), f"{category}: no pose is a quarter turn away"
+        k = 1 + next(i for i, w in enumerate(change) if 0.55 < w < 0.85)
+        first, second = (catalogue.preview(record["id"], 64, 0.5, pose).astype(int) for pose in (0, k))
+        assert np.abs(first - second).mean() > 3
+        flat = record["size_m"][2] / 2
+        assert (others[k - 1]["height"] > flat) == tall
     with pytest.raises(InputError, match="no pose 99"):
-        catalogue.preview(book["id"], 64, 0.5, 99)
+        catalogue.preview(record["id"], 64, 0.5, 99)
 
 
 def fails(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -99,7 +112,9 @@ def test_generate_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Captu
     said = fails(["generate", "--out", str(tmp_path / "new"), "--category", "sword"], capsys)
     assert "unknown category `sword`, expected one of: knife, scissors" in said
     assert not (tmp_path / "new").exists()
-    said = fails(["generate", "--out", str(tmp_path / "full" / "mine.txt" / "x"), "--category", "book"], capsys)
+    said = fails(
+        ["generate", "--out", str(tmp_path / "full" / "mine.txt" / "x"), "--category", "book"], capsys
+    )
     assert "mine.txt" in said
     assert [f.name for f in tmp_path.iterdir()] == ["full"]
 
@@ -129,7 +144,7 @@ def test_truncated_model_is_named(broken: Path):
 
 def test_validity_judges_every_verb_over_every_category():
     table = json.loads(VALIDITY.read_text(encoding="utf-8"))["verbs"]
-    verbs = "cut scoop pour sip stir spread pound write wipe measure tighten".split()
+    verbs = ["cut", "scoop", "pour", "sip", "stir", "spread", "pound", "write", "wipe", "measure", "tighten"]
     assert list(table) == verbs
     for verb, row in table.items():
         assert set(row) == set(CATEGORIES), verb

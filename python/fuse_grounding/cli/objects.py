@@ -56,7 +56,9 @@ def _chosen(library: Path, category: list[str] | None) -> tuple[_core.ObjectCata
     known = sorted({r["category"] for r in records})
     for name in category or []:
         if name not in known:
-            raise InputError(f"no object of category {name} in {library}, expected one of: {', '.join(known)}")
+            raise InputError(
+                f"no object of category {name} in {library}, expected one of: {', '.join(known)}"
+            )
     return catalogue, [r for r in records if not category or r["category"] in category]
 
 

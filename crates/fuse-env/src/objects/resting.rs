@@ -17,9 +17,9 @@ use crate::catalogue::RestingPose;
 /// Poses closer than this are one, degrees.
 const ALIKE: f64 = 20.0;
 /// Poses rarer than this are left out.
-const RARE: f64 = 0.03;
+const RARE: f64 = 0.01;
 /// At most so many poses.
-const MOST: usize = 8;
+const MOST: usize = 12;
 /// The model's own pose is meant when a stable face lies within this of it, degrees.
 const OWN: f64 = 12.0;
 
@@ -149,7 +149,7 @@ pub fn resting_poses(model: &Model, natural: f32) -> Vec<RestingPose> {
             let rotation = upright(down).as_quat().normalize();
             RestingPose {
                 quaternion: rotation.to_array(),
-                height: -lowest(model, rotation),
+                height: 0.0 - lowest(model, rotation),
                 probability: (share / whole) as f32,
             }
         })

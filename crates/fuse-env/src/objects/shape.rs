@@ -173,9 +173,8 @@ impl Surface {
         for face in &mut self.faces {
             let p = face.at.map(|i| self.points[i as usize]);
             let n = (p[1] - p[0]).cross(p[2] - p[0]).abs();
-            for k in 0..3 {
-                let q = p[k];
-                face.uv[k] = if n.z >= n.x && n.z >= n.y {
+            for (uv, q) in face.uv.iter_mut().zip(p) {
+                *uv = if n.z >= n.x && n.z >= n.y {
                     Vec2::new(q.y, q.x)
                 } else if n.y >= n.x {
                     Vec2::new(q.z, q.x)
