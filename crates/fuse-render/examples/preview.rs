@@ -1,4 +1,5 @@
-//! Renders a small tabletop to a PNG: `cargo run --release -p fuse-render --example preview -- out.png`
+//! Renders a small tabletop to a PNG: `cargo run --release -p fuse-render --example preview -- out.png [FRAMES]`;
+//! the fastest of FRAMES renderings is timed.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -10,18 +11,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let renderer = fuse_render::Renderer::new(common::tabletop(15, 88), &fuse_render::RenderOptions::default())?;
     println!("prepared in {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
-    if let Some(repeats) = std::env::args().nth(2) {
-        // For profilers: prepare or render many times.
-        let scene = common::tabletop(15, 88);
-        println!("{} triangles", scene.instances.iter().map(|i| i.model.triangle_count()).sum::<usize>());
-        for _ in 0..repeats.parse()? {
-            fuse_render::Renderer::new(scene.clone(), &fuse_render::RenderOptions::default())?;
-        }
-        return Ok(());
-    }
     let camera = common::camera(640, 480, [-0.2, -0.85, 1.4], [0.0, 0.0, 0.75]);
     let mut best = f64::INFINITY;
-    for _ in 0..8 {
+    let frames: usize = std::env::args().nth(2).map_or(Ok(8), |n| n.parse())?;
+    for _ in 0..frames {
         let start = Instant::now();
         std::hint::black_box(renderer.render(&camera));
         best = best.min(start.elapsed().as_secs_f64() * 1e3);

@@ -12,7 +12,7 @@ mod texture;
 mod transform;
 
 use fuse_camera::{Buffer, Camera, DepthBuffer, IdBuffer};
-use glam::Vec3;
+use glam::Vec3A;
 use rayon::prelude::*;
 
 use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
@@ -29,7 +29,8 @@ use transform::{Sampling, Setup, View};
 pub struct Renderer {
     geometry: Geometry,
     shading: Shading,
-    background: Vec3,
+    /// Display-linear.
+    background: Vec3A,
     near: f32,
     /// Nonzero instance ids, ascending.
     ids: Vec<u32>,
@@ -92,7 +93,8 @@ impl Renderer {
         let shadow = options.shadows.then(|| Shadow::new(&geometry, &scene.light, options.shadow_resolution));
         let occlusion = if options.ambient_occlusion { Occlusion::new(&geometry) } else { None };
         let shading = Shading::new(&scene.light, shadow, occlusion);
-        Ok(Self { geometry, shading, background: scene.background, near: options.near, ids })
+        let background = shading.display(scene.background.into());
+        Ok(Self { geometry, shading, background, near: options.near, ids })
     }
 
     /// Nonzero instance ids, ascending.
@@ -106,7 +108,7 @@ impl Renderer {
         let vertices = view.vertices(&self.geometry);
         let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Area));
         let center = camera.pose.center();
-        let eye = Vec3::new(center.x as f32, center.y as f32, center.z as f32);
+        let eye = Vec3A::new(center.x as f32, center.y as f32, center.z as f32);
         let (w, h) = (view.width, view.height);
         let mut frame = Frame {
             rgb: Buffer::filled(w, h, [0; 3]),
@@ -228,15 +230,15 @@ impl Renderer {
 
     /// Display-linear colour of a pixel: each triangle in it is shaded once, at the mean of the
     /// samples it covers, and weighted with their number.
-    fn pixel(&self, binned: &Binned, shader: &mut Shader<'_>, samples: &[u32; LANES], x: usize, y: usize) -> Vec3 {
+    fn pixel(&self, binned: &Binned, shader: &mut Shader<'_>, samples: &[u32; LANES], x: usize, y: usize) -> Vec3A {
         let mut shade = |key: u32, dx: f32, dy: f32| match key.checked_sub(1) {
-            None => self.shading.background(self.background),
+            None => self.background,
             Some(i) => shader.color(&binned.setups[i as usize], key, (x, y), dx, dy),
         };
         if samples.iter().all(|&s| s == samples[0]) {
             return shade(samples[0], 0.0, 0.0);
         }
-        let mut sum = Vec3::ZERO;
+        let mut sum = Vec3A::ZERO;
         for (i, &key) in samples.iter().enumerate() {
             if samples[..i].contains(&key) {
                 continue;

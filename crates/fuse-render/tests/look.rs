@@ -148,7 +148,7 @@ fn edges_are_anti_aliased_with_the_covered_share() {
 #[test]
 fn distant_texture_fades_to_its_mean_instead_of_aliasing() {
     let black_white =
-        texture(64, |u, v| if ((u * 16.0) as u32 + (v * 16.0) as u32) % 2 == 0 { [0.0; 3] } else { [1.0; 3] });
+        texture(64, |u, v| if ((u * 16.0) as u32 + (v * 16.0) as u32).is_multiple_of(2) { [0.0; 3] } else { [1.0; 3] });
     let floor = quad(Vec3::new(-40.0, -40.0, 0.0), Vec3::X * 80.0, Vec3::Y * 80.0, 8.0);
     let mut light = dark_light(Vec3::Z * 30.0, 0.0);
     (light.intensity, light.sky, light.ground) = (Vec3::ZERO, Vec3::ONE, Vec3::ONE);

@@ -1,6 +1,6 @@
 //! The scene flattened to one list of world-space triangles.
 
-use glam::{Mat3, Vec2, Vec3};
+use glam::{Mat3, Vec2, Vec3, Vec3A};
 
 use super::texture::{MipCache, MipChain};
 use crate::{Scene, SceneError};
@@ -18,7 +18,7 @@ pub(super) struct Part {
 /// A material ready for shading.
 pub(super) struct Surface {
     /// Linear factor on the texture.
-    pub base: Vec3,
+    pub base: Vec3A,
     pub texture: Option<std::sync::Arc<MipChain>>,
     pub metallic: f32,
     pub roughness: f32,
@@ -75,7 +75,7 @@ impl Geometry {
         for material in &model.materials {
             let [r, g, b, _] = material.base_color;
             self.surfaces.push(Surface {
-                base: Vec3::new(r, g, b),
+                base: Vec3A::new(r, g, b),
                 texture: material.base_color_texture.as_ref().map(|t| mips.get(t)),
                 metallic: material.metallic.clamp(0.0, 1.0),
                 roughness: material.roughness.clamp(0.045, 1.0),

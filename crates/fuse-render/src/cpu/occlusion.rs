@@ -6,7 +6,7 @@
 //! surface with normal `n` is `o0 / 2 + n · o1`, and the blocked share along a direction `d`
 //! is `o0 / 2 + 3/2 d · o1`.
 
-use glam::{DMat3, DVec3, UVec3, Vec3, Vec4};
+use glam::{DMat3, DVec3, UVec3, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::geometry::Geometry;
@@ -34,8 +34,8 @@ const OPEN: [u8; 4] = [0, 128, 128, 128];
 
 /// The grid.
 pub(super) struct Occlusion {
-    low: Vec3,
-    high: Vec3,
+    low: Vec3A,
+    high: Vec3A,
     cell: f32,
     size: UVec3,
     /// `o0`, `o1` in [0, 1] and [-½, ½], as bytes.
@@ -57,7 +57,7 @@ impl Occlusion {
         let (low, high) = (low - Vec3::new(0.15, 0.15, 0.03), high + Vec3::new(0.15, 0.15, 0.06));
         let cell = ((high - low).max_element() / MAX_CELLS).max(CELL);
         let size = ((high - low) / cell).ceil().as_uvec3().max(UVec3::splat(2));
-        let mut grid = Self { low, high, cell, size, cells: Vec::new() };
+        let mut grid = Self { low: low.into(), high: high.into(), cell, size, cells: Vec::new() };
         let near_surface = grid.near_surface(geometry);
         let maps = grid.maps(geometry);
         grid.cells = near_surface
@@ -73,7 +73,7 @@ impl Occlusion {
     fn cell_center(&self, index: usize) -> Vec3 {
         let (nx, ny) = (self.size.x as usize, self.size.y as usize);
         let k = [index % nx, index / nx % ny, index / (nx * ny)].map(|k| k as f32 + 0.5);
-        self.low + Vec3::from_array(k) * self.cell
+        Vec3::from(self.low) + Vec3::from_array(k) * self.cell
     }
 
     /// Cells within two of a triangle's bounds.
@@ -81,7 +81,7 @@ impl Occlusion {
         let mut near = vec![false; (self.size.x * self.size.y * self.size.z) as usize];
         let last = self.size.as_ivec3() - 1;
         for t in &geometry.triangles {
-            let p = t.map(|v| (geometry.positions[v as usize] - self.low) / self.cell);
+            let p = t.map(|v| (Vec3A::from(geometry.positions[v as usize]) - self.low) / self.cell);
             let lo = (p[0].min(p[1]).min(p[2]).floor() - 2.0).as_ivec3();
             let hi = (p[0].max(p[1]).max(p[2]).floor() + 2.0).as_ivec3();
             if hi.min_element() < 0 || (lo - last).max_element() > 0 {
@@ -99,7 +99,7 @@ impl Occlusion {
     }
 
     fn maps(&self, geometry: &Geometry) -> Vec<DirectionMap> {
-        let center = (self.low + self.high) * 0.5;
+        let center = Vec3::from(self.low + self.high) * 0.5;
         let radius = (self.high - self.low).length() * 0.5;
         (0..DIRECTIONS).into_par_iter().map(|k| DirectionMap::new(geometry, center, radius, direction(k))).collect()
     }
@@ -132,20 +132,20 @@ impl Occlusion {
     }
 
     /// Blocked shares `(of the cosine hemisphere around the normal, along `direction`)`.
-    pub fn at(&self, position: Vec3, normal: Vec3, direction: Vec3) -> (f32, f32) {
+    pub fn at(&self, position: Vec3A, normal: Vec3A, direction: Vec3A) -> (f32, f32) {
         let p = position + normal * self.cell;
         let border = (p - self.low).min(self.high - p).min_element();
         if border <= 0.0 {
             return (0.0, 0.0);
         }
         let o = self.trilinear((p - self.low) / self.cell - 0.5);
-        let (o0, o1) = (o.x, Vec3::new(o.y, o.z, o.w));
+        let (o0, o1) = (o.x, Vec3A::new(o.y, o.z, o.w));
         let fade = (border / FADE).min(1.0);
         let share = |v: f32| (GAIN * v).clamp(0.0, 1.0) * fade;
         (share(0.5 * o0 + normal.dot(o1)), share(0.5 * o0 + 1.5 * direction.dot(o1)))
     }
 
-    fn trilinear(&self, at: Vec3) -> Vec4 {
+    fn trilinear(&self, at: Vec3A) -> Vec4 {
         let top = self.size - 1;
         let base = at.floor();
         let f = at - base;

@@ -6,6 +6,9 @@
 //! pixel ([`Tile::draw_area`]) or the centres of eight pixels ([`Tile::draw_centers`],
 //! [`Mask::draw`]). No fused multiply-add is used, so every instruction set gives the same bits.
 
+// Lanes run side by side through several arrays: indices say that better than zipped iterators.
+#![allow(clippy::needless_range_loop)]
+
 use fuse_camera::simd::{self, Level};
 use glam::DVec3;
 

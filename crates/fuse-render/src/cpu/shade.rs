@@ -1,6 +1,6 @@
 //! Metal-rough shading of one surface point.
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3A};
 
 use super::geometry::{Geometry, Surface};
 use super::occlusion::Occlusion;
@@ -10,17 +10,54 @@ use crate::Light;
 
 /// What shading reads; made once for a scene.
 pub(super) struct Shading {
-    pub light: Light,
-    pub shadow: Option<Shadow>,
-    pub occlusion: Option<Occlusion>,
+    light: Lamp,
+    shadow: Option<Shadow>,
+    occlusion: Option<Occlusion>,
     pub encode: SrgbTable,
+}
+
+/// The light, ready for use.
+struct Lamp {
+    position: Vec3A,
+    radius: f32,
+    intensity: Vec3A,
+    sky: Vec3A,
+    ground: Vec3A,
+    soft_boxes: Vec<Patch>,
+    exposure: f32,
+}
+
+/// A soft box; see [`crate::SoftBox`].
+struct Patch {
+    direction: Vec3A,
+    color: Vec3A,
+    sharpness: f32,
+}
+
+impl Lamp {
+    fn new(light: &Light) -> Self {
+        let patch = |b: &crate::SoftBox| Patch {
+            direction: Vec3A::from(b.direction).normalize_or(Vec3A::Z),
+            color: b.color.into(),
+            sharpness: b.sharpness,
+        };
+        Self {
+            position: light.position.into(),
+            radius: light.radius,
+            intensity: light.intensity.into(),
+            sky: light.sky.into(),
+            ground: light.ground.into(),
+            soft_boxes: light.soft_boxes.iter().map(patch).collect(),
+            exposure: light.exposure,
+        }
+    }
 }
 
 /// Ready to interpolate over one triangle: attributes times `1 / z` are linear over the image.
 pub(super) struct Shader<'a> {
     geometry: &'a Geometry,
     shading: &'a Shading,
-    eye: Vec3,
+    eye: Vec3A,
     /// Key of the triangle that the planes belong to; 0 for none.
     key: u32,
     /// Image coordinates at which `value` holds.
@@ -33,21 +70,21 @@ pub(super) struct Shader<'a> {
 #[derive(Default)]
 struct Planes {
     sum: [f32; 3],
-    position: [Vec3; 3],
-    normal: [Vec3; 3],
+    position: [Vec3A; 3],
+    normal: [Vec3A; 3],
     uv: [Vec2; 3],
-    facet: Vec3,
+    facet: Vec3A,
 }
 
 /// A surface point seen through a pixel.
 struct Point<'a> {
-    position: Vec3,
+    position: Vec3A,
     /// Unit, towards the viewer's side.
-    normal: Vec3,
+    normal: Vec3A,
     /// Of the triangle, towards the viewer's side.
-    facet: Vec3,
+    facet: Vec3A,
     /// Unit, towards the eye.
-    view: Vec3,
+    view: Vec3A,
     uv: Vec2,
     du: Vec2,
     dv: Vec2,
@@ -65,7 +102,8 @@ impl Planes {
         for (i, &v) in t.iter().enumerate() {
             let e = setup.edges[i];
             let weights = [e.dot(at) * scale, e.x * scale, e.y * scale].map(|w| w as f32);
-            let (p, n, uv) = (geometry.positions[v], geometry.normals[v], geometry.uvs[v]);
+            let (p, n) = (Vec3A::from(geometry.positions[v]), Vec3A::from(geometry.normals[v]));
+            let uv = geometry.uvs[v];
             for (k, w) in weights.into_iter().enumerate() {
                 planes.position[k] += p * w;
                 planes.normal[k] += n * w;
@@ -73,14 +111,14 @@ impl Planes {
             }
         }
         planes.sum = [1.0, (total.x * scale) as f32, (total.y * scale) as f32];
-        let p = t.map(|v| geometry.positions[v]);
-        planes.facet = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or(Vec3::Z);
+        let p = t.map(|v| Vec3A::from(geometry.positions[v]));
+        planes.facet = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or(Vec3A::Z);
         planes
     }
 }
 
 impl<'a> Shader<'a> {
-    pub fn new(geometry: &'a Geometry, shading: &'a Shading, eye: Vec3) -> Self {
+    pub fn new(geometry: &'a Geometry, shading: &'a Shading, eye: Vec3A) -> Self {
         Self { geometry, shading, eye, key: 0, origin: (0.0, 0.0), planes: Planes::default(), surface: 0 }
     }
 
@@ -92,9 +130,9 @@ impl<'a> Shader<'a> {
 
     /// Display-linear colour of a triangle at pixel `(x, y)` plus `(dx, dy)`; `key` tells
     /// triangles of one view apart and is never 0.
-    pub fn color(&mut self, setup: &Setup, key: u32, (x, y): (usize, usize), dx: f32, dy: f32) -> Vec3 {
+    pub fn color(&mut self, setup: &Setup, key: u32, (x, y): (usize, usize), dx: f32, dy: f32) -> Vec3A {
         if key != self.key {
-            self.origin = (x as f64 + 0.5, y as f64 + 0.5);
+            self.origin = (x as f64 + 0.5 + f64::from(dx), y as f64 + 0.5 + f64::from(dy));
             self.planes = Planes::new(self.geometry, setup, self.origin);
             let part = self.geometry.triangle_part[setup.triangle as usize];
             self.surface = self.geometry.parts[part as usize].surface as usize;
@@ -136,17 +174,13 @@ impl<'a> Shader<'a> {
 
 impl Shading {
     pub fn new(light: &Light, shadow: Option<Shadow>, occlusion: Option<Occlusion>) -> Self {
-        let mut light = light.clone();
-        for soft_box in &mut light.soft_boxes {
-            soft_box.direction = soft_box.direction.normalize_or(Vec3::Z);
-        }
-        Self { light, shadow, occlusion, encode: SrgbTable::new() }
+        Self { light: Lamp::new(light), shadow, occlusion, encode: SrgbTable::new() }
     }
 
     /// Radiance towards the viewer.
-    fn reflected(&self, p: &Point<'_>, base: Vec3) -> Vec3 {
+    fn reflected(&self, p: &Point<'_>, base: Vec3A) -> Vec3A {
         let (metallic, roughness) = (p.surface.metallic, p.surface.roughness);
-        let f0 = Vec3::splat(0.04).lerp(base, metallic);
+        let f0 = Vec3A::splat(0.04).lerp(base, metallic);
         let diffuse = base * (1.0 - metallic);
         let nv = p.normal.dot(p.view).max(1e-3);
         let reflection = p.normal * (2.0 * p.normal.dot(p.view)) - p.view;
@@ -158,17 +192,17 @@ impl Shading {
     }
 
     /// Light from the key lamp: Lambert and GGX, the lamp's size widening the highlight.
-    fn key(&self, p: &Point<'_>, diffuse: Vec3, f0: Vec3, nv: f32, roughness: f32) -> Vec3 {
+    fn key(&self, p: &Point<'_>, diffuse: Vec3A, f0: Vec3A, nv: f32, roughness: f32) -> Vec3A {
         let to_light = self.light.position - p.position;
         let distance2 = to_light.length_squared().max(1e-4);
         let l = to_light / distance2.sqrt();
         let nl = p.normal.dot(l);
         if nl <= 0.0 || p.facet.dot(l) <= 0.0 {
-            return Vec3::ZERO;
+            return Vec3A::ZERO;
         }
         let visible = self.shadow.as_ref().map_or(1.0, |s| s.visibility(p.position, p.facet));
         if visible <= 0.0 {
-            return Vec3::ZERO;
+            return Vec3A::ZERO;
         }
         let h = (l + p.view).normalize_or(p.normal);
         let (nh, vh) = (p.normal.dot(h).clamp(0.0, 1.0), p.view.dot(h).clamp(0.0, 1.0));
@@ -181,12 +215,12 @@ impl Shading {
         let k = alpha * 0.5;
         let visibility = 0.25 / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
         let f = (1.0 - vh) * (1.0 - vh);
-        let fresnel = f0 + (Vec3::ONE - f0) * (f * f * (1.0 - vh));
+        let fresnel = f0 + (Vec3A::ONE - f0) * (f * f * (1.0 - vh));
         (diffuse + fresnel * (distribution * visibility)) * self.light.intensity * (visible * nl / distance2)
     }
 
     /// Ambient irradiance over π on a surface with this normal.
-    fn irradiance(&self, n: Vec3) -> Vec3 {
+    fn irradiance(&self, n: Vec3A) -> Vec3A {
         let mut sum = self.light.ground.lerp(self.light.sky, 0.5 + 0.5 * n.z);
         for b in &self.light.soft_boxes {
             // The patch's solid angle is 2π/s (1 - 1/(1 + 2s)) ≈ 2π/s; the cosine is wrapped.
@@ -197,7 +231,7 @@ impl Shading {
     }
 
     /// Ambient radiance from a direction, blurred as a surface of this roughness sees it.
-    fn surroundings(&self, d: Vec3, roughness: f32) -> Vec3 {
+    fn surroundings(&self, d: Vec3A, roughness: f32) -> Vec3A {
         let t = (0.5 + d.z / (0.3 + 1.7 * roughness)).clamp(0.0, 1.0);
         let mut sum = self.light.ground.lerp(self.light.sky, t * t * (3.0 - 2.0 * t));
         // Walls are brighter than floor and ceiling, which see the lamp at a steeper angle.
@@ -214,36 +248,31 @@ impl Shading {
 
     /// Exposure and tone curve: neutral below 0.76, smooth shoulder above (Khronos PBR neutral,
     /// without its toe), in [0, 1].
-    fn display(&self, radiance: Vec3) -> Vec3 {
+    pub fn display(&self, radiance: Vec3A) -> Vec3A {
         const START: f32 = 0.76;
         const DESATURATION: f32 = 0.15;
         let c = radiance * self.light.exposure;
         let peak = c.max_element();
         if peak < START {
-            return c.max(Vec3::ZERO);
+            return c.max(Vec3A::ZERO);
         }
         let d = 1.0 - START;
         let new_peak = 1.0 - d * d / (peak + d - START);
         let g = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
-        (c * (new_peak / peak)).lerp(Vec3::splat(new_peak), g).clamp(Vec3::ZERO, Vec3::ONE)
-    }
-
-    /// Background radiance through the tone curve.
-    pub fn background(&self, radiance: Vec3) -> Vec3 {
-        self.display(radiance)
+        (c * (new_peak / peak)).lerp(Vec3A::splat(new_peak), g).clamp(Vec3A::ZERO, Vec3A::ONE)
     }
 }
 
 /// Split-sum environment reflectance, analytic fit (Karis, "Physically based shading on
 /// mobile", 2014).
-fn environment_brdf(f0: Vec3, roughness: f32, nv: f32) -> Vec3 {
+fn environment_brdf(f0: Vec3A, roughness: f32, nv: f32) -> Vec3A {
     let r = [-roughness + 1.0, -0.0275 * roughness + 0.0425, -0.572 * roughness + 1.04, 0.022 * roughness - 0.04];
     let (a, edge) = (r[0] * r[0], 1.0 - nv);
     // The fit's 2^(-9.28 nv) is replaced by (1 - nv)⁵: no library call, the same bits anywhere.
     let edge = edge * edge * edge * edge * edge;
     let a004 = a.min(edge) * r[0] + r[1];
     let (scale, bias) = (-1.04 * a004 + r[2], 1.04 * a004 + r[3]);
-    f0 * scale + Vec3::splat(bias)
+    f0 * scale + Vec3A::splat(bias)
 }
 
 /// Linear [0, 1] to sRGB bytes.
@@ -261,8 +290,8 @@ impl SrgbTable {
         Self((0..Self::SIZE).map(byte).collect())
     }
 
-    pub fn encode(&self, c: Vec3) -> [u8; 3] {
-        let c = c * (Self::SIZE - 1) as f32 + Vec3::splat(0.5);
+    pub fn encode(&self, c: Vec3A) -> [u8; 3] {
+        let c = c * (Self::SIZE - 1) as f32 + Vec3A::splat(0.5);
         c.to_array().map(|v| self.0[(v as usize).min(Self::SIZE - 1)])
     }
 }

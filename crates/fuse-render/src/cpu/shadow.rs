@@ -9,7 +9,7 @@
 //! and serves wide discs at coarse levels. No random numbers: shadows stay put when the camera
 //! moves.
 
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{DMat3, DVec3, Vec2, Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::Binned;
@@ -82,7 +82,7 @@ impl Shadow {
     }
 
     /// Share of the lamp that `position` on a surface with this normal sees, in [0, 1].
-    pub fn visibility(&self, position: Vec3, normal: Vec3) -> f32 {
+    pub fn visibility(&self, position: Vec3A, normal: Vec3A) -> f32 {
         self.maps.iter().find_map(|m| m.visibility(position, normal)).unwrap_or(1.0)
     }
 }
@@ -132,8 +132,8 @@ impl Map {
     }
 
     /// `None` outside the map.
-    fn visibility(&self, position: Vec3, normal: Vec3) -> Option<f32> {
-        let d = position - self.position;
+    fn visibility(&self, position: Vec3A, normal: Vec3A) -> Option<f32> {
+        let d = position - Vec3A::from(self.position);
         let z = -d.z;
         if z <= 0.02 {
             return None;
@@ -145,7 +145,7 @@ impl Map {
             return None;
         }
         // Plane of the receiver: 1/z is linear over the map. Camera frame of the map.
-        let n = Vec3::new(normal.x, -normal.y, -normal.z);
+        let n = Vec3A::new(normal.x, -normal.y, -normal.z);
         let distance = n.x * d.x - n.y * d.y + n.z * z;
         let slope = Vec2::new(n.x, n.y) / (distance.min(-1e-3) * self.focal);
         // Steeper planes than this see the lamp at a grazing angle.

@@ -4,9 +4,9 @@
 //! the 2×2 (area-weighted for odd sizes) mean of level k.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use glam::{Vec2, Vec3, Vec4};
+use glam::{Vec2, Vec3A, Vec4};
 
 use crate::Texture;
 
@@ -19,9 +19,10 @@ struct Level {
     texels: Vec<[u16; 4]>,
 }
 
-/// A texture and its smaller copies.
+/// A texture and its smaller copies, made when first sampled: depth and ids need none.
 pub(super) struct MipChain {
-    levels: Vec<Level>,
+    texture: Arc<Texture>,
+    levels: OnceLock<Vec<Level>>,
 }
 
 /// Chains by texture identity, so that instances share them.
@@ -30,7 +31,7 @@ pub(super) struct MipCache(HashMap<*const Texture, Arc<MipChain>>);
 
 impl MipCache {
     pub fn get(&mut self, texture: &Arc<Texture>) -> Arc<MipChain> {
-        self.0.entry(Arc::as_ptr(texture)).or_insert_with(|| Arc::new(MipChain::new(texture))).clone()
+        self.0.entry(Arc::as_ptr(texture)).or_insert_with(|| Arc::new(MipChain::new(texture.clone()))).clone()
     }
 }
 
@@ -40,29 +41,27 @@ pub(super) fn srgb_to_linear(v: f32) -> f32 {
 }
 
 impl MipChain {
-    pub fn new(texture: &Texture) -> Self {
-        let mut decode = [0u16; 256];
-        for (i, d) in decode.iter_mut().enumerate() {
-            *d = (srgb_to_linear(i as f32 / 255.0) * 65535.0 + 0.5) as u16;
-        }
-        let texels = texture
-            .texels
-            .iter()
-            .map(|t| [decode[t[0] as usize], decode[t[1] as usize], decode[t[2] as usize], u16::from(t[3]) * 257])
-            .collect();
-        let mut levels = vec![Level { width: texture.width, height: texture.height, texels }];
-        while let Some(next) = levels.last().and_then(Level::half) {
-            levels.push(next);
-        }
-        Self { levels }
+    pub fn new(texture: Arc<Texture>) -> Self {
+        Self { texture, levels: OnceLock::new() }
+    }
+
+    fn levels(&self) -> &[Level] {
+        self.levels.get_or_init(|| {
+            let mut levels = vec![Level::new(&self.texture)];
+            while let Some(next) = levels.last().and_then(Level::half) {
+                levels.push(next);
+            }
+            levels
+        })
     }
 
     /// Colour at `uv`, averaged over the parallelogram of the screen-space derivatives.
     ///
     /// The level follows the short axis of the footprint; up to [`MAX_TAPS`] trilinear taps run
     /// along the long one.
-    pub fn sample(&self, uv: Vec2, du: Vec2, dv: Vec2) -> Vec3 {
-        let size = Vec2::new(self.levels[0].width as f32, self.levels[0].height as f32);
+    pub fn sample(&self, uv: Vec2, du: Vec2, dv: Vec2) -> Vec3A {
+        let levels = self.levels();
+        let size = Vec2::new(levels[0].width as f32, levels[0].height as f32);
         let (a, b) = ((du * size).length(), (dv * size).length());
         let (long, short, axis) = if a >= b { (a, b, du) } else { (b, a, dv) };
         let taps = (long / short.max(1e-6)).min(MAX_TAPS).min(long.max(1.0)).round().max(1.0);
@@ -72,21 +71,21 @@ impl MipChain {
         let n = taps as u32;
         for k in 0..n {
             let t = (k as f32 + 0.5) / taps - 0.5;
-            sum += self.trilinear(uv + axis * t, level);
+            sum += trilinear(levels, uv + axis * t, level);
         }
-        (sum * (1.0 / (taps * 65535.0))).truncate()
+        Vec3A::from_vec4(sum * (1.0 / (taps * 65535.0)))
     }
+}
 
-    fn trilinear(&self, uv: Vec2, level: f32) -> Vec4 {
-        let last = self.levels.len() - 1;
-        let low = (level as usize).min(last);
-        let fine = self.levels[low].bilinear(uv);
-        let t = level - low as f32;
-        if low == last || t < 1.0 / 64.0 {
-            return fine;
-        }
-        fine + (self.levels[low + 1].bilinear(uv) - fine) * t
+fn trilinear(levels: &[Level], uv: Vec2, level: f32) -> Vec4 {
+    let last = levels.len() - 1;
+    let low = (level as usize).min(last);
+    let fine = levels[low].bilinear(uv);
+    let t = level - low as f32;
+    if low == last || t < 1.0 / 64.0 {
+        return fine;
     }
+    fine + (levels[low + 1].bilinear(uv) - fine) * t
 }
 
 /// log2 of a number ≥ 1, within 0.01; the same bits on every machine.
@@ -98,6 +97,20 @@ fn fast_log2(v: f32) -> f32 {
 }
 
 impl Level {
+    /// The texture itself, in linear light.
+    fn new(texture: &Texture) -> Self {
+        let mut decode = [0u16; 256];
+        for (i, d) in decode.iter_mut().enumerate() {
+            *d = (srgb_to_linear(i as f32 / 255.0) * 65535.0 + 0.5) as u16;
+        }
+        let texels = texture
+            .texels
+            .iter()
+            .map(|t| [decode[t[0] as usize], decode[t[1] as usize], decode[t[2] as usize], u16::from(t[3]) * 257])
+            .collect();
+        Self { width: texture.width, height: texture.height, texels }
+    }
+
     /// The next smaller level; `None` after 1×1.
     fn half(&self) -> Option<Self> {
         if self.width == 1 && self.height == 1 {
@@ -151,10 +164,14 @@ fn span(i: u32, to: u32, from: u32) -> (u32, u32) {
 /// The two texels around coordinate `t` of a repeating axis, and the weight of the second.
 #[inline(always)]
 fn wrap(t: f32, size: u32) -> (u32, u32, f32) {
-    let x = (t - t.floor()) * size as f32 - 0.5;
-    let floor = x.floor();
-    let low = floor as i32;
-    let a = if low < 0 { size - 1 } else { (low as u32).min(size - 1) };
-    let b = if a + 1 == size { 0 } else { a + 1 };
-    (a, b, x - floor)
+    // No library call: rounding down by way of integers.
+    let whole = t as i32;
+    let fraction = t - whole as f32;
+    let fraction = if fraction < 0.0 { fraction + 1.0 } else { fraction };
+    let x = fraction * size as f32 + 0.5;
+    let high = x as u32;
+    // Texel centres are at halves: the lower neighbour is one before `high`, around the seam.
+    let b = if high >= size { 0 } else { high };
+    let a = if high == 0 { size - 1 } else { (high - 1).min(size - 1) };
+    (a, b, x - high as f32)
 }

@@ -139,7 +139,10 @@ pub fn plaster() -> Texture {
 }
 
 pub fn checker(n: f32) -> Texture {
-    texture(256, |u, v| if ((u * n) as u32 + (v * n) as u32) % 2 == 0 { [0.85, 0.2, 0.15] } else { [0.95, 0.9, 0.8] })
+    texture(
+        256,
+        |u, v| if ((u * n) as u32 + (v * n) as u32).is_multiple_of(2) { [0.85, 0.2, 0.15] } else { [0.95, 0.9, 0.8] },
+    )
 }
 
 pub fn place(model: Model, at: Vec3, yaw: f32, id: u32) -> Instance {
