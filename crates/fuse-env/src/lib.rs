@@ -8,6 +8,7 @@ pub mod generate;
 pub mod metrics;
 pub mod objects;
 pub mod placement;
+pub mod randomized;
 pub mod ring;
 pub mod room;
 pub mod surfaces;

