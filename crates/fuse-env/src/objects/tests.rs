@@ -87,7 +87,7 @@ fn models_are_sound_and_of_moderate_size() {
 const USUAL: [(Category, [f32; 3]); 18] = [
     (Category::Knife, [30.0, 4.5, 2.0]),
     (Category::Scissors, [19.0, 10.0, 1.1]),
-    (Category::ButterKnife, [20.0, 2.0, 0.9]),
+    (Category::ButterKnife, [20.0, 2.0, 0.7]),
     (Category::Spoon, [19.0, 4.5, 2.2]),
     (Category::Ladle, [31.0, 9.0, 6.5]),
     (Category::Mug, [12.0, 10.0, 8.0]),
@@ -114,8 +114,9 @@ fn sizes_are_those_of_real_things() {
         size.sort_by(|a, b| b.total_cmp(a));
         for (k, (found, expected)) in size.iter().zip(usual[&category]).enumerate() {
             let ratio = found * 100.0 / expected;
-            // Thickness varies most: a rolled towel against a folded one.
-            let limit = [1.7, 1.75, 2.6][k];
+            // A rolled towel against a folded one.
+            let soft = category == Category::Towel;
+            let limit = if soft { [1.7, 2.8, 2.8] } else { [1.7, 1.75, 2.1] }[k];
             assert!((1.0 / limit..limit).contains(&ratio), "{name}: extent {k} is {found} m, usual {expected} cm");
         }
     }
