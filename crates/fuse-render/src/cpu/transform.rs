@@ -42,6 +42,14 @@ pub(super) enum Sampling {
     Center,
 }
 
+/// A vertex in pixel-homogeneous coordinates, and its image coordinates (of use for `z > 0`).
+#[derive(Clone, Copy)]
+pub(super) struct Vertex {
+    p: DVec3,
+    u: f64,
+    v: f64,
+}
+
 /// What maps the world to pixels.
 pub(super) struct View {
     /// `K · R`.
@@ -70,13 +78,18 @@ impl View {
         }
     }
 
-    /// Pixel-homogeneous coordinates of every vertex.
-    pub fn vertices(&self, geometry: &Geometry) -> Vec<DVec3> {
-        geometry.positions.par_iter().with_min_len(CHUNK).map(|p| self.matrix * p.as_dvec3() + self.offset).collect()
+    /// Every vertex of the scene, in order.
+    pub fn vertices(&self, geometry: &Geometry) -> Vec<Vertex> {
+        let project = |p: &glam::Vec3| {
+            let p = self.matrix * p.as_dvec3() + self.offset;
+            let inverse = 1.0 / p.z;
+            Vertex { p, u: p.x * inverse, v: p.y * inverse }
+        };
+        geometry.positions.par_iter().with_min_len(CHUNK).map(project).collect()
     }
 
     /// The triangles that face the camera (or are double-sided) and may cover a sample, in order.
-    pub fn setups(&self, geometry: &Geometry, vertices: &[DVec3], sampling: Sampling) -> Vec<Setup> {
+    pub fn setups(&self, geometry: &Geometry, vertices: &[Vertex], sampling: Sampling) -> Vec<Setup> {
         let chunks: Vec<Vec<Setup>> = geometry
             .triangles
             .par_chunks(CHUNK)
@@ -85,7 +98,7 @@ impl View {
                 let first = chunk * CHUNK;
                 let mut out = Vec::with_capacity(triangles.len() / 2);
                 for (k, t) in triangles.iter().enumerate() {
-                    let p = t.map(|v| vertices[v as usize]);
+                    let p = [vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize]];
                     let part = geometry.triangle_part[first + k] as usize;
                     let double_sided = geometry.parts[part].double_sided;
                     out.extend(self.setup(p, (first + k) as u32, double_sided, sampling));
@@ -96,29 +109,46 @@ impl View {
         chunks.concat()
     }
 
-    fn setup(&self, p: [DVec3; 3], triangle: u32, double_sided: bool, sampling: Sampling) -> Option<Setup> {
-        let (x0, x1, y0, y1) = self.pixel_bounds(&p, sampling)?;
+    #[inline]
+    fn setup(&self, q: [Vertex; 3], triangle: u32, double_sided: bool, sampling: Sampling) -> Option<Setup> {
+        let (x0, x1, y0, y1) = self.pixel_bounds(&q, sampling)?;
+        let p = [q[0].p, q[1].p, q[2].p];
         let n = [p[1].cross(p[2]), p[2].cross(p[0]), p[0].cross(p[1])];
         let det = p[0].dot(n[0]);
         // Counter-clockwise seen from outside faces the camera when det < 0 (y is down).
         if det == 0.0 || !det.is_finite() || (det > 0.0 && !double_sided) {
             return None;
         }
-        let edges = if det < 0.0 { n.map(|e| -e) } else { n };
+        let edges = if det < 0.0 { [-n[0], -n[1], -n[2]] } else { n };
         let inverse_depth = (edges[0] + edges[1] + edges[2]) / det.abs();
         Some(Setup { edges, inverse_depth, x0, x1, y0, y1, triangle })
     }
 
     /// Inclusive pixel bounds; `None` when no sample of the image can be covered.
-    fn pixel_bounds(&self, p: &[DVec3; 3], sampling: Sampling) -> Option<(u16, u16, u16, u16)> {
-        let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        let mut extend = |q: DVec3| {
-            let (u, v) = (q.x / q.z, q.y / q.z);
-            lo = [lo[0].min(u), lo[1].min(v)];
-            hi = [hi[0].max(u), hi[1].max(v)];
+    #[inline]
+    fn pixel_bounds(&self, q: &[Vertex; 3], sampling: Sampling) -> Option<(u16, u16, u16, u16)> {
+        let [a, b, c] = q;
+        let (lo, hi) = if a.p.z.min(b.p.z).min(c.p.z) >= self.near {
+            let lo = (a.u.min(b.u).min(c.u), a.v.min(b.v).min(c.v));
+            (lo, (a.u.max(b.u).max(c.u), a.v.max(b.v).max(c.v)))
+        } else {
+            self.clipped_bounds(q)
+        };
+        let (x0, x1) = pixel_range(lo.0, hi.0, self.width, sampling)?;
+        let (y0, y1) = pixel_range(lo.1, hi.1, self.height, sampling)?;
+        Some((x0, x1, y0, y1))
+    }
+
+    /// Image bounds `(low, high)` of the part beyond the near plane.
+    fn clipped_bounds(&self, q: &[Vertex; 3]) -> ((f64, f64), (f64, f64)) {
+        let (mut lo, mut hi) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+        let mut extend = |p: DVec3| {
+            let (u, v) = (p.x / p.z, p.y / p.z);
+            lo = (lo.0.min(u), lo.1.min(v));
+            hi = (hi.0.max(u), hi.1.max(v));
         };
         for i in 0..3 {
-            let (a, b) = (p[i], p[(i + 1) % 3]);
+            let (a, b) = (q[i].p, q[(i + 1) % 3].p);
             if a.z >= self.near {
                 extend(a);
             }
@@ -126,21 +156,31 @@ impl View {
                 extend(a + (b - a) * ((self.near - a.z) / (b.z - a.z)));
             }
         }
-        let shift = if sampling == Sampling::Center { 0.5 } else { 0.0 };
-        let range = |lo: f64, hi: f64, size: u32| -> Option<(u16, u16)> {
-            // A thousandth of a pixel covers the rounding of the projection.
-            let first = match sampling {
-                Sampling::Center => (lo - shift - 1e-3).ceil(),
-                Sampling::Area => (lo - 1e-3).floor(),
-            }
-            .max(0.0);
-            let last = (hi - shift + 1e-3).floor().min(f64::from(size) - 1.0);
-            (first <= last).then_some((first as u16, last as u16))
-        };
-        let (x0, x1) = range(lo[0], hi[0], self.width)?;
-        let (y0, y1) = range(lo[1], hi[1], self.height)?;
-        Some((x0, x1, y0, y1))
+        (lo, hi)
     }
+}
+
+/// First and last pixel along one axis with a sample in `[lo, hi]`, inside the image.
+#[inline]
+fn pixel_range(lo: f64, hi: f64, size: u32, sampling: Sampling) -> Option<(u16, u16)> {
+    // A thousandth of a pixel covers the rounding of the projection.
+    let (lo, hi) = (lo - 1e-3, hi + 1e-3);
+    let last = f64::from(size) - 1.0;
+    let (first, end) = match sampling {
+        Sampling::Area => (lo, hi),
+        Sampling::Center => (lo - 0.5, hi - 0.5),
+    };
+    if !(end >= 0.0 && first <= last + 1.0) {
+        return None;
+    }
+    // Rounding by conversion: the numbers are in range, and floor() is a library call.
+    let (first, end) = (first.max(0.0), end.min(last));
+    let mut pixel = first as u16;
+    if sampling == Sampling::Center && f64::from(pixel) < first {
+        pixel += 1;
+    }
+    let end = end as u16;
+    (pixel <= end).then_some((pixel, end))
 }
 
 impl Setup {
