@@ -121,6 +121,31 @@ fn a_floor_does_not_shadow_itself_at_any_angle() {
 }
 
 #[test]
+fn a_wall_beside_a_large_lamp_does_not_shadow_itself() {
+    let wall = quad(Vec3::new(1.5, 2.0, 0.0), Vec3::NEG_Y * 4.0, Vec3::Z * 2.1, 1.0);
+    let floor = quad(Vec3::new(-2.0, -2.0, 0.0), Vec3::X * 4.0, Vec3::Y * 4.0, 1.0);
+    let white = || material([0.8; 3], 0.0, 1.0);
+    for (yaw, radius) in [(0.0, 0.1), (0.2, 0.2), (0.7, 0.3)] {
+        let scene = Scene {
+            instances: vec![
+                place(model(wall.clone(), white()), Vec3::ZERO, yaw, 0),
+                place(model(floor.clone(), white()), Vec3::ZERO, 0.0, 0),
+            ],
+            light: dark_light(Vec3::new(0.0, 0.0, 2.3), radius),
+            background: Vec3::ZERO,
+        };
+        let cam = camera(160, 120, [0.2, 0.1, 1.2], [1.5, 0.3, 1.2]);
+        let (with, without) = (
+            Renderer::new(scene.clone(), &RenderOptions::default()).unwrap().render(&cam),
+            Renderer::new(scene, &plain()).unwrap().render(&cam),
+        );
+        let differences = with.rgb.as_slice().iter().zip(without.rgb.as_slice());
+        let darker = differences.filter(|(a, b)| a[1] + 2 < b[1]).count();
+        assert_eq!(darker, 0, "yaw {yaw}, radius {radius}: {darker} pixels are in a shadow of nothing");
+    }
+}
+
+#[test]
 fn edges_are_anti_aliased_with_the_covered_share() {
     // A white half plane whose edge crosses the image at a slant, emitting nothing else.
     let wall = quad(Vec3::new(2.0, -1.5, -9.0), Vec3::new(0.0, -9.0, 0.0), Vec3::new(0.0, 3.0, 18.0), 1.0);

@@ -195,6 +195,8 @@ impl Map {
         let (radius, at, slope) = (radius * scale + 0.5, r.at * scale - 0.5, r.slope / scale);
         let (x0, x1) = ((at.x - radius).ceil() as i32, (at.x + radius).floor() as i32);
         let (y0, y1) = ((at.y - radius).ceil() as i32, (at.y + radius).floor() as i32);
+        // Half of the change of the receiver's own depth over a block, which must not block it.
+        let tilt = 0.5 * (slope.x.abs() + slope.y.abs()) * (1.0 - scale);
         let mut disc = Disc::default();
         for y in y0..=y1 {
             let dy = y as f32 - at.y;
@@ -202,7 +204,7 @@ impl Map {
                 let dx = x as f32 - at.x;
                 let weight = (radius - (dx * dx + dy * dy).sqrt()).clamp(0.0, 1.0);
                 let [near, far] = self.levels[level].at(x, y);
-                let plane = r.w + slope.x * dx + slope.y * dy;
+                let plane = r.w + slope.x * dx + slope.y * dy + tilt;
                 // A block of texels that is blocked in part counts half.
                 let blocked = weight * 0.5 * (f32::from(near > plane) + f32::from(far > plane));
                 disc.weight += weight;
