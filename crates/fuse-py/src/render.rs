@@ -104,7 +104,10 @@ fn render_models<'py>(
         instances.push(Instance { model: model.inner.clone(), transform: Affine3A::from_mat4(matrix), id });
     }
     instances.extend(floor.map(floor_instance));
-    let scene = Scene { instances, light: Light::default(), background: Vec3::from(background) };
+    // The lamp stands as high over this floor as over a table by default.
+    let mut light = Light::default();
+    light.position.z += floor.unwrap_or(0.0) - 0.75;
+    let scene = Scene { instances, light, background: Vec3::from(background) };
     let options = RenderOptions { shadows, ambient_occlusion: shadows, ..RenderOptions::default() };
     let camera = camera.inner;
     let frame = enter(py, move || Renderer::new(scene, &options).map(|r| r.render(&camera)))?;
