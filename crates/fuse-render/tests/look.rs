@@ -125,13 +125,13 @@ fn a_wall_beside_a_large_lamp_does_not_shadow_itself() {
     let wall = quad(Vec3::new(1.5, 2.0, 0.0), Vec3::NEG_Y * 4.0, Vec3::Z * 2.1, 1.0);
     let floor = quad(Vec3::new(-2.0, -2.0, 0.0), Vec3::X * 4.0, Vec3::Y * 4.0, 1.0);
     let white = || material([0.8; 3], 0.0, 1.0);
-    for (yaw, radius) in [(0.0, 0.1), (0.2, 0.2), (0.7, 0.3)] {
+    for (yaw, radius, x) in [(0.0, 0.1, 0.0), (0.2, 0.2, 0.0), (0.7, 0.3, 0.0), (0.0, 0.15, 1.2), (0.1, 0.15, 1.3)] {
         let scene = Scene {
             instances: vec![
                 place(model(wall.clone(), white()), Vec3::ZERO, yaw, 0),
                 place(model(floor.clone(), white()), Vec3::ZERO, 0.0, 0),
             ],
-            light: dark_light(Vec3::new(0.0, 0.0, 2.3), radius),
+            light: dark_light(Vec3::new(x, 0.0, 2.3), radius),
             background: Vec3::ZERO,
         };
         let cam = camera(160, 120, [0.2, 0.1, 1.2], [1.5, 0.3, 1.2]);
@@ -141,7 +141,7 @@ fn a_wall_beside_a_large_lamp_does_not_shadow_itself() {
         );
         let differences = with.rgb.as_slice().iter().zip(without.rgb.as_slice());
         let darker = differences.filter(|(a, b)| a[1] + 2 < b[1]).count();
-        assert_eq!(darker, 0, "yaw {yaw}, radius {radius}: {darker} pixels are in a shadow of nothing");
+        assert_eq!(darker, 0, "yaw {yaw}, radius {radius}, x {x}: {darker} pixels are in a shadow of nothing");
     }
 }
 

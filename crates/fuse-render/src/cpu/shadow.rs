@@ -149,7 +149,7 @@ impl Map {
         let distance = n.x * d.x - n.y * d.y + n.z * z;
         let slope = Vec2::new(n.x, n.y) / (distance.min(-1e-3) * self.focal);
         // Steeper planes than this see the lamp at a grazing angle.
-        let slope = slope.clamp_length_max(4.0 * w / self.focal);
+        let slope = slope.clamp_length_max(24.0 * w / self.focal);
         let receiver = Receiver { w: w + BIAS * w * w, at, slope };
         Some(self.share(&receiver))
     }
