@@ -160,17 +160,30 @@ impl Trainer {
     /// # Errors
     /// If there are no views.
     pub fn refine(&mut self, iterations: u32) -> Result<RefineStats, SplatError> {
+        self.refine_while(iterations, &mut || true)
+    }
+
+    /// [`Self::refine`] that asks before each iteration whether to go on.
+    ///
+    /// # Errors
+    /// As [`Self::refine`].
+    pub fn refine_while(
+        &mut self,
+        iterations: u32,
+        proceed: &mut dyn FnMut() -> bool,
+    ) -> Result<RefineStats, SplatError> {
         if self.views.is_empty() && iterations > 0 {
             return Err(SplatError::Input("training needs at least one view, found none".into()));
         }
         let start = Instant::now();
         let extent = self.extent();
-        let mut stats = RefineStats { iterations, ..RefineStats::default() };
+        let mut stats = RefineStats::default();
         let mut losses = Vec::with_capacity(iterations as usize);
         self.pipeline.seconds = StageSeconds::default();
-        for done in 0..iterations {
-            self.maintain(extent, iterations - done, &mut stats);
+        while stats.iterations < iterations && proceed() {
+            self.maintain(extent, iterations - stats.iterations, &mut stats);
             self.iteration += 1;
+            stats.iterations += 1;
             losses.push(self.iterate(extent));
             self.densify_due |= schedule::densify_after(&self.config, self.iteration);
             self.reset_due |= schedule::reset_after(&self.config, self.iteration);

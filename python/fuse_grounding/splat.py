@@ -1,0 +1,248 @@
+"""3D Gaussian splatting on the CPU: the official model and training, resumed while views arrive.
+
+```python
+trainer = splat.Trainer(splat.Gaussians.from_points(xyz, rgb), splat.TrainerConfig())
+trainer.add_view(image, camera)
+trainer.refine(1000)
+image, alpha, depth = splat.render(trainer.gaussians, camera)
+```
+
+World: right-handed, z up, metres. The same seed and the same calls give the same bits, for any
+number of threads. Whatever the caller can put right raises `InputError`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuse_grounding import _core
+from fuse_grounding._core import Camera
+from fuse_grounding.errors import InputError
+
+__all__ = ["Gaussians", "RefineStats", "Trainer", "TrainerConfig", "psnr", "render"]
+
+
+@dataclass(frozen=True)
+class TrainerConfig:
+    """Settings of a `Trainer`: the supplement's ("3D Gaussian Splatting"), else the original's."""
+
+    position_rate: float = 1.6e-4
+    """Position rate at the start, times the scene's extent (supplement)."""
+    position_rate_end: float = 1.6e-6
+    """Position rate at the end of its schedule (supplement)."""
+    position_steps: int = 30_000
+    """Iterations over which the position rate falls, log-linearly."""
+    feature_rate: float = 2.5e-3
+    """Rate of the constant harmonic; the others have a twentieth (supplement)."""
+    opacity_rate: float = 2.5e-2
+    """Rate of the opacity's logit (supplement)."""
+    scale_rate: float = 5e-3
+    """Rate of the scales' logarithm (supplement)."""
+    rotation_rate: float = 1e-3
+    """Rate of the quaternions (supplement)."""
+    lambda_dssim: float = 0.2
+    """Weight of D-SSIM in the loss."""
+    degree: int = 3
+    """Highest degree of the spherical harmonics (supplement)."""
+    degree_interval: int = 1000
+    """Iterations after which the degree rises by one."""
+    densify_start: int = 500
+    """Gaussians are cloned, split and removed only after this iteration (supplement)."""
+    densify_end: int = 15_000
+    """And only before this one (supplement)."""
+    densify_interval: int = 100
+    """Iterations between two densifications (supplement)."""
+    densify_gradient: float = 2e-4
+    """Mean gradient of the projected position from which a Gaussian is cloned or split."""
+    dense_fraction: float = 0.01
+    """Times the scene's extent: larger Gaussians are split, smaller ones cloned."""
+    prune_opacity: float = 0.005
+    """Gaussians less opaque are removed."""
+    prune_fraction: float = 0.1
+    """Times the scene's extent: larger Gaussians are removed once opacities have been reset."""
+    prune_radius: float = 20.0
+    """Gaussians with a larger radius on an image, pixels, are removed once opacities have been reset."""
+    opacity_reset_interval: int = 3000
+    """Iterations between two resets of the opacities (supplement)."""
+    opacity_reset_margin: int = 300
+    """A reset within the last so many iterations of a call waits for the next call; ours."""
+    max_gaussians: int = 200_000
+    """No Gaussians are added beyond this number; ours."""
+    extent: float | None = None
+    """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """RGB behind everything, in [0, 1]."""
+    seed: int = 0
+    """Order of the views and places of split Gaussians."""
+
+
+@dataclass(frozen=True)
+class RefineStats:
+    """What a call of `Trainer.refine` did."""
+
+    iterations: int
+    total_iterations: int
+    loss_first: float
+    """Mean loss of the first tenth of the call."""
+    loss: float
+    """Mean loss of the last tenth."""
+    gaussians: int
+    cloned: int
+    split: int
+    pruned: int
+    opacity_resets: int
+    seconds: float
+    stage_seconds: dict[str, float]
+
+
+def _triples(name: str, values: ArrayLike) -> NDArray[np.float32]:
+    """(N, 3) float32; positions of any float type, colours also uint8 (scaled to [0, 1])."""
+    array = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fu":
+        raise InputError(
+            f"{name} must be a (N, 3) array of floats{' or uint8' if name == 'rgb' else ''}, "
+            f"found {array.dtype} array of shape {array.shape}"
+        )
+    if array.dtype.kind == "u":
+        if name != "rgb" or array.dtype != np.uint8:
+            raise InputError(f"{name} must be a (N, 3) array of floats, found {array.dtype}")
+        return array.astype(np.float32) / np.float32(255)
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+class Gaussians:
+    """A set of anisotropic 3D Gaussians with view-dependent colour. Read-only.
+
+    `from_points` and `from_ply` make one; `Trainer.gaussians` returns one.
+    """
+
+    def __init__(self, inner: _core.Gaussians):
+        self._inner = inner
+
+    @classmethod
+    def from_points(cls, xyz: ArrayLike, rgb: ArrayLike) -> Gaussians:
+        """Gaussians at points, initialised as in the original (scale from the three nearest, opacity 0.1).
+
+        `xyz` (N, 3) metres; `rgb` (N, 3) uint8, or floats in [0, 1]. Raises InputError for no points,
+        other shapes or types, and values that are not finite.
+        """
+        return cls(_core.Gaussians.from_points(_triples("xyz", xyz), _triples("rgb", rgb)))
+
+    @classmethod
+    def from_ply(cls, path: str | os.PathLike[str]) -> Gaussians:
+        """Reads a PLY as the original 3DGS writes it. Raises InputError that names the file and its fault."""
+        return cls(_core.Gaussians.from_ply(os.fspath(path)))
+
+    def save_ply(self, path: str | os.PathLike[str]) -> None:
+        """Writes a PLY as the original 3DGS does, whole or not at all."""
+        self._inner.save_ply(os.fspath(path))
+
+    @property
+    def parameters(self) -> NDArray[np.float32]:
+        """(N, 59) float32, a copy: position, log scale, quaternion (w first), opacity logit, harmonics."""
+        return self._inner.parameters()
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        """(N, 3) float32 metres, a copy."""
+        return self.parameters[:, :3].copy()
+
+    def __len__(self) -> int:
+        return len(self._inner)
+
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self)})"
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Sequence[float] | None = None,
+    device: str = "cpu",
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Image (H, W, 3) in [0, 1], alpha (H, W) in [0, 1], depth (H, W) metres; float32.
+
+    Depth is the mean along the optical axis of what is drawn, 0 where nothing is. `background` is
+    RGB in [0, 1], default black.
+    """
+    _check_device(device)
+    rgb = tuple(float(v) for v in (background if background is not None else (0.0, 0.0, 0.0)))
+    if len(rgb) != 3:
+        raise InputError(f"background must be three numbers in [0, 1], found {len(rgb)}")
+    return _core.render_gaussians(gaussians._inner, camera, rgb)
+
+
+class Trainer:
+    """Fits Gaussians to views that arrive one by one.
+
+    Iterations, moments and densification statistics carry over from one `refine` to the next.
+    Ctrl-C ends a refinement after the iteration that it fell into; the trainer stays usable.
+    """
+
+    def __init__(self, gaussians: Gaussians, config: TrainerConfig | None = None, device: str = "cpu"):
+        _check_device(device)
+        self.config = config if config is not None else TrainerConfig()
+        self._inner = _core.SplatTrainer(gaussians._inner, asdict(self.config))
+
+    def add_view(self, image: NDArray[np.uint8], camera: Camera) -> int:
+        """Adds an (H, W, 3) uint8 image with its camera; returns the view's index."""
+        return self._inner.add_view(image, camera)
+
+    def set_camera(self, index: int, camera: Camera) -> None:
+        """Replaces a view's camera, after a bundle adjustment for example."""
+        self._inner.set_camera(_count("index", index), camera)
+
+    def add_points(self, xyz: ArrayLike, rgb: ArrayLike) -> int:
+        """Adds Gaussians at newly found points; returns how many (`max_gaussians` limits them)."""
+        return self._inner.add_points(_triples("xyz", xyz), _triples("rgb", rgb))
+
+    def refine(self, iterations: int) -> RefineStats:
+        """Runs more iterations over all views; every view comes once before any comes again."""
+        stats: dict[str, Any] = self._inner.refine(_count("iterations", iterations))
+        return RefineStats(**stats)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """A copy of the Gaussians as they are now."""
+        return Gaussians(self._inner.gaussians())
+
+    @property
+    def iteration(self) -> int:
+        """Iterations since the trainer was made."""
+        return self._inner.progress()[0]
+
+    @property
+    def view_count(self) -> int:
+        """Number of views."""
+        return self._inner.progress()[1]
+
+
+def psnr(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """Peak signal-to-noise ratio of two (H, W, 3) images, decibel; uint8, or floats in [0, 1]."""
+    return _core.psnr(_image("a", a), _image("b", b))
+
+
+def _image(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
+    array = np.asarray(image)
+    if array.dtype == np.uint8:
+        return array.astype(np.float32) / np.float32(255)
+    if array.dtype.kind != "f":
+        raise InputError(f"{name} must be a (H, W, 3) uint8 or float array, found {array.dtype}")
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _count(name: str, value: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**31:
+        raise InputError(f"{name} must be a whole number from 0 on, found {value!r}")
+    return int(value)
+
+
+def _check_device(device: str) -> None:
+    if device != "cpu":
+        raise InputError(f"device must be 'cpu', the one backend of this version, found {device!r}")
