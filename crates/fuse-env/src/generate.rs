@@ -313,3 +313,6 @@ pub fn episodes(
 ) -> Result<Vec<(Episode, Rejections)>, GenerateError> {
     requests.par_iter().map(|r| episode(stage, validity, r)).collect()
 }
+
+#[cfg(test)]
+mod tests;

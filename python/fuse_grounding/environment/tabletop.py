@@ -1,0 +1,122 @@
+"""The tabletop world: an episode's scene, rendered, with a camera that moves along the ring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fuse_grounding._core import Camera, World, action_mask, apply_action, seed_viewpoints
+from fuse_grounding.environment.episodes import Episode, stage
+from fuse_grounding.environment.protocol import Observation
+
+
+@dataclass(frozen=True)
+class Target:
+    """A valid object and what the 108 viewpoints see of it, for metrics.
+
+    `position` (3,) metres is the middle of its box; `visible_px` and `unoccluded_px` (36, 3) count the
+    pixels that show it, and that would show it if it stood alone.
+    """
+
+    instance: int
+    label: str
+    position: np.ndarray
+    least_pixels: float
+    most_pixels: float
+    least_distance: float
+    most_distance: float
+    visible_px: np.ndarray
+    unoccluded_px: np.ndarray
+
+    @property
+    def fraction(self) -> np.ndarray:
+        """(36, 3): visible over unoccluded pixels, 0 where it is out of the picture."""
+        return self.visible_px / np.maximum(self.unoccluded_px, 1)
+
+
+class TabletopEnvironment:
+    """An episode to act in. `episode` is what it plays; observations carry true instance ids."""
+
+    def __init__(self, episode: Episode):
+        self.episode = episode
+        self._world = World(episode.text, stage())
+        self._viewpoint = episode.start
+
+    @property
+    def viewpoint(self) -> tuple[int, int]:
+        """Node and pitch index of where the camera is."""
+        return self._viewpoint
+
+    def reset(self) -> None:
+        """Moves the camera back to the episode's start."""
+        self._viewpoint = self.episode.start
+
+    def observe(self) -> Observation:
+        """The view from where the camera is now."""
+        return self.render_at(*self._viewpoint)
+
+    def render_at(self, node: int, pitch_index: int) -> Observation:
+        """The view from any viewpoint. Raises InputError for one that does not exist."""
+        camera = self._world.camera(node, pitch_index)
+        return Observation(*self._world.render(node, pitch_index), camera, node, pitch_index)
+
+    def camera_at(self, node: int, pitch_index: int) -> Camera:
+        """The camera of any viewpoint. Raises InputError for one that does not exist."""
+        return self._world.camera(node, pitch_index)
+
+    def canonical_observation(self) -> Observation:
+        """The view straight down on the middle of the scene; it has no place on the ring."""
+        camera = self._world.canonical_camera()
+        return Observation(*self._world.render_camera(camera), camera)
+
+    def action_mask(self) -> np.ndarray:
+        """(15,) bool: which actions are possible from here."""
+        return action_mask(*self._viewpoint)
+
+    def act(self, action: int) -> None:
+        """Moves the camera. Raises InputError for an action that is masked or out of range."""
+        self._viewpoint = apply_action(*self._viewpoint, action)
+
+    def seed_observations(self) -> Sequence[Observation]:
+        """The views from one and two nodes to either side of here, 30 degrees down."""
+        return [self.render_at(*viewpoint) for viewpoint in seed_viewpoints(*self._viewpoint)]
+
+    # -- what only metrics and the oracle may ask ------------------------------------------------
+
+    def oracle_target(self) -> str:
+        """Category of the sampled target."""
+        return self.episode.categories[self.episode.data["target"]]
+
+    def oracle_valid(self) -> Sequence[str]:
+        """Categories of all valid objects on the table, the target's first."""
+        labels = (self.episode.categories[i] for i in self.episode.data["valid_target_ids"])
+        return tuple(dict.fromkeys(labels))
+
+    def true_instances(self, node: int | None, pitch_index: int | None) -> np.ndarray:
+        """(480, 640) uint32 ids at a viewpoint; of the canonical view for None."""
+        seen = (
+            self.canonical_observation()
+            if node is None or pitch_index is None
+            else self.render_at(node, pitch_index)
+        )
+        assert seen.instance is not None
+        return seen.instance
+
+    def true_targets(self) -> Sequence[Target]:
+        """The valid objects, the sampled target first."""
+        return [
+            Target(
+                instance=s["instance_id"],
+                label=self.episode.categories[s["instance_id"]],
+                position=np.asarray(s["position_m"], np.float64),
+                least_pixels=s["pixels_min"],
+                most_pixels=s["pixels_max"],
+                least_distance=s["distance_min_m"],
+                most_distance=s["distance_max_m"],
+                visible_px=np.asarray(s["visible_px"]).reshape(36, 3),
+                unoccluded_px=np.asarray(s["unoccluded_px"]).reshape(36, 3),
+            )
+            for s in self.episode.data["statistics"]
+        ]
