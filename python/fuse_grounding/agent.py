@@ -16,6 +16,7 @@ import numpy as np
 
 from fuse_grounding import evidence, grounding, intake, ledger
 from fuse_grounding.config import Config
+from fuse_grounding.environment.blind import Blind
 from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
@@ -73,6 +74,7 @@ class Agent:
         self, env: Environment, query: str, *, episode_index: int = 0, watchers: Sequence[Watcher] = ()
     ) -> Grounded:
         """One whole episode in an environment. Raises InputError."""
+        env = Blind(env)
         world: Any = env if hasattr(env, "oracle_target") else None
         session = self.start(query, episode_index=episode_index, world=world, watchers=watchers)
         if session.seed_requests:

@@ -91,4 +91,4 @@ def test_missing_and_broken_files_are_named(tmp_path: Path):
 
 def test_settings_cannot_be_changed_in_place():
     with pytest.raises(ValueError, match="frozen"):
-        Config().gate.eta = 0.1  # type: ignore[misc]
+        Config().gate.eta = 0.1

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from fuse_grounding.config import Config
+from fuse_grounding.environment import Target
 from fuse_grounding.grounding import Grounded
 from fuse_grounding.perception.protocol import Segmenter
 
 _EPSILON = 1e-9
-
-
-@dataclass(frozen=True)
-class TargetTruth:
-    """A valid object: pixels and camera distances over the 108 reachable views, position in metres."""
-
-    instance: int
-    label: str
-    position: np.ndarray
-    least_pixels: float
-    most_pixels: float
-    least_distance: float
-    most_distance: float
 
 
 class Truth(Protocol):
@@ -35,7 +22,7 @@ class Truth(Protocol):
         """(H, W) uint32 ids at a viewpoint, of the canonical view for None."""
         ...
 
-    def true_targets(self) -> Sequence[TargetTruth]:
+    def true_targets(self) -> Sequence[Target]:
         """The valid objects, the sampled target first."""
         ...
 

@@ -6,10 +6,9 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -45,8 +44,6 @@ def _root(
 
 def _register() -> None:
     for name in _COMMANDS:
-        if importlib.util.find_spec(f"fuse_grounding.cli.{name}") is None:
-            continue
         module = importlib.import_module(f"fuse_grounding.cli.{name}")
         if hasattr(module, "app"):
             app.add_typer(module.app, name=name)
@@ -57,7 +54,7 @@ def _register() -> None:
 _register()
 
 # Typer brings its own copy of click in some versions: take the class that it uses.
-_UsageError = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+_UsageError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
 def execute(arguments: Sequence[str] | None = None) -> int:
@@ -77,7 +74,7 @@ def execute(arguments: Sequence[str] | None = None) -> int:
     except typer.Exit as exit_:
         return exit_.exit_code
     except _UsageError as error:
-        error.show()  # type: ignore[attr-defined]
+        error.show()
         return 2
     except BrokenPipeError:
         return 1

@@ -59,7 +59,7 @@ def command(
     )
     verb = knowledge.parse(query).verb
     agent = Agent(settings)
-    episode = make_episode(verb, scene, seed)
+    episode = make_episode(verb, scene, seed, query=query)
     environment = TabletopEnvironment(episode)
     folder = prepare(out or next_folder(Path("runs")), force)
     narrator, files = Narrator(quiet=as_json), RunFolder(folder)
