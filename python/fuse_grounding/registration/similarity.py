@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 _COINCIDENT = 1e-20
 """Squared spread over squared distance from the origin below which centres differ by rounding alone."""
 
