@@ -107,7 +107,9 @@ def show(
 def _tell(episode: Episode) -> None:
     data, names = episode.data, episode.categories
     node, pitch = episode.start
-    typer.echo(f'{episode.episode_id}  {episode.scene_id}  "{episode.query}" ({episode.verb}), seed {episode.seed}')
+    typer.echo(
+        f'{episode.episode_id}  {episode.scene_id}  "{episode.query}" ({episode.verb}), seed {episode.seed}'
+    )
     typer.echo(f"  target {names[data['target']]}; " + ", ".join(names[i] for i in data["distractor_ids"]))
     first, index = data["statistics"][0], 3 * node + pitch
     seen, whole = first["visible_px"][index], first["unoccluded_px"][index]

@@ -93,7 +93,9 @@ def _validity() -> dict[str, list[str]]:
 def _queries() -> dict[str, list[str]]:
     """Verb -> the words that it is asked with, for verbs that some category can serve."""
     verbs = json.loads((DATA / "affordances.json").read_text(encoding="utf-8"))["verbs"]
-    return {verb: list(verbs[verb]["queries"]) for verb, valid in _validity().items() if valid and verb in verbs}
+    return {
+        verb: list(verbs[verb]["queries"]) for verb, valid in _validity().items() if valid and verb in verbs
+    }
 
 
 def scene_names() -> list[str]:
