@@ -97,10 +97,10 @@ pub fn pictures(seed: u64, count: usize, options: &Options) -> Result<Vec<Pictur
         .map(|index| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(index as u64 + 1);
-            room_pictures(&mut rng, options)
+            room_pictures(&mut rng, options, PICTURES_PER_ROOM.min(count - index * PICTURES_PER_ROOM))
         })
         .collect::<Result<_, _>>()?;
-    Ok(rooms.into_iter().flatten().take(count).collect())
+    Ok(rooms.into_iter().flatten().collect())
 }
 
 /// A generated object and how it rests.
@@ -110,17 +110,17 @@ struct Thing {
     rests: Vec<Rest>,
 }
 
-fn room_pictures(rng: &mut ChaCha8Rng, options: &Options) -> Result<Vec<Picture>, RandomizedError> {
+fn room_pictures(rng: &mut ChaCha8Rng, options: &Options, wanted: usize) -> Result<Vec<Picture>, RandomizedError> {
     let scene = random_scene(rng, options.split);
     let furniture: Vec<Arc<Model>> = room::build(&scene).into_iter().map(Arc::new).collect();
     let things = random_things(rng, options.split);
-    let mut pictures = Vec::with_capacity(PICTURES_PER_ROOM);
-    while pictures.len() < PICTURES_PER_ROOM {
+    let mut pictures = Vec::with_capacity(wanted);
+    while pictures.len() < wanted {
         let (instances, categories) = layout(rng, &scene, &furniture, &things);
         let background = Vec3::splat(rng.random_range(0.05..0.8));
         let renderer =
             Renderer::new(Scene { instances, light: random_light(rng), background }, &RenderOptions::default())?;
-        for _ in 0..PICTURES_PER_LAYOUT {
+        for _ in 0..PICTURES_PER_LAYOUT.min(wanted - pictures.len()) {
             let camera = random_camera(rng, &scene, options)?;
             pictures.push(picture(&renderer, &camera, &categories, options.amodal));
         }
@@ -324,5 +324,44 @@ fn random_surface(rng: &mut ChaCha8Rng, kinds: &[SurfaceKind], texels: u32) -> S
         roughness: rng.random_range(0.35..0.95),
         texels,
         seed: rng.random(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn evaluation_is_refused_and_splits_share_no_surface_family_of_table_floor_or_wall() {
+        let options = Options { width: 64, height: 48, split: Split::Eval, amodal: false };
+        assert!(matches!(pictures(0, 1, &options), Err(RandomizedError::Evaluation)));
+        let families = |split| {
+            let mut rng = ChaCha8Rng::seed_from_u64(4);
+            (0..200)
+                .map(|_| random_scene(&mut rng, split))
+                .flat_map(|s| [s.table.top.kind, s.room.floor.kind, s.room.wall.kind])
+                .fold(Vec::new(), |mut all, kind| {
+                    if !all.contains(&kind) {
+                        all.push(kind);
+                    }
+                    all
+                })
+        };
+        let (train, dev) = (families(Split::Train), families(Split::Dev));
+        assert_eq!((train.len(), dev.len()), (5, 4));
+        assert!(train.iter().all(|kind| !dev.contains(kind)));
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
+        let options = Options { width: 64, height: 48, split: Split::Train, amodal: true };
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| pictures(8, 3, &options)).unwrap()
+        };
+        let one = run(1);
+        assert_eq!(one, run(3));
+        assert!(one.iter().all(|p| p.objects.iter().all(|o| o.unoccluded_px >= o.visible_px)));
+        assert!(one.iter().any(|p| p.objects.len() > 3));
     }
 }

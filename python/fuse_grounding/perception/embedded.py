@@ -129,8 +129,8 @@ class EmbeddedSegmenter:
         """Instances of `labels` in `rgb` (H, W, 3) uint8, best score first.
 
         An object of which the network is unsure is returned for several labels, each with its own score;
-        scores below the threshold of the settings are left out. Raises InputError for an unknown label and
-        for a picture of the wrong shape or dtype.
+        scores below the threshold of the settings are left out. Masks are read-only. Raises InputError for
+        an unknown label and for a picture of the wrong shape or dtype.
         """
         known = self._settings.labels
         if isinstance(labels, str):
@@ -145,7 +145,7 @@ class EmbeddedSegmenter:
         for label in dict.fromkeys(labels):
             column = found.scores[:, known.index(label)]
             for i in np.nonzero(column >= self._settings.min_score)[0]:
-                detections.append(Detection(label, float(column[i]), found.masks[i].copy()))
+                detections.append(Detection(label, float(column[i]), found.masks[i]))
         # Stable: equal scores stay in the order of labels, then of objects.
         return sorted(detections, key=lambda d: -d.score)
 
@@ -185,6 +185,8 @@ class EmbeddedSegmenter:
         masks = np.zeros((len(kept), height, width), bool)
         for i, k in enumerate(sound[chosen]):
             masks[i] = cv2.resize(logits[k], (width, height), interpolation=cv2.INTER_LINEAR) > 0
+        # Detections share these.
+        masks.setflags(write=False)
         return Candidates(masks, np.interp(raw[chosen], *s.knots), raw[chosen])
 
     def _suppress(self, masks: np.ndarray) -> list[int]:

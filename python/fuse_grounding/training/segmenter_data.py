@@ -146,8 +146,8 @@ def _window(ids: np.ndarray, size: tuple[int, int], rng: np.random.Generator) ->
     """A random crop (x, y, w, h) of the aspect of `size`, more often around something."""
     height, width = ids.shape
     full = min(width / size[0], height / size[1])
-    # From the whole picture (scale 1) to about half of it.
-    zoom = full * np.exp(rng.uniform(np.log(0.55), 0.0)) if rng.random() < 0.85 else full
+    # Now and then the whole picture; mostly about as large as the network sees things at run time.
+    zoom = full * np.exp(rng.uniform(np.log(0.48), np.log(0.9))) if rng.random() < 0.92 else full
     w, h = int(size[0] * zoom), int(size[1] * zoom)
     present = np.unique(ids[::8, ::8])
     present = present[present > 0]

@@ -15,6 +15,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from fuse_grounding.errors import InputError
 from fuse_grounding.perception.embedded import SCHEMA_VERSION, EmbeddedSegmenter
 from fuse_grounding.training.segmenter_data import Picture
 from fuse_grounding.training.segmenter_model import Exported, SegmenterNet
@@ -22,13 +23,14 @@ from fuse_grounding.training.segmenter_score import correct, isotonic
 
 OPSET = 17
 CANDIDATES = 40
+MIN_HEAT = 0.05
 # Scores below this are not worth a detection.
 MIN_SCORE = 0.05
 
 
 def to_onnx(net: SegmenterNet, size: tuple[int, int]) -> bytes:
     """The whole network for pictures of `size` (width, height), weights stored as float16."""
-    model = Exported(net, CANDIDATES).eval()
+    model = Exported(net, CANDIDATES, MIN_HEAT).eval()
     example = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         exported = Path(folder) / "network.onnx"
@@ -74,7 +76,7 @@ def write(path: Path, weights: bytes, labels: tuple[str, ...], size: tuple[int, 
         "sha256": hashlib.sha256(weights).hexdigest(),
         "temperature": 1.0,
         "calibration": {"raw": [0.0, 1.0], "score": [0.0, 1.0]},
-        "thresholds": {"heat": 0.05, "score": MIN_SCORE, "pixels": 60, "nms_iou": 0.5, "nms_inside": 0.8},
+        "thresholds": {"heat": MIN_HEAT, "score": MIN_SCORE, "pixels": 60, "nms_iou": 0.5, "nms_inside": 0.8},
         "training": training,
     }
     _replace(path, weights)
@@ -96,6 +98,10 @@ def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
     scores, truth = np.concatenate(raw), np.concatenate(right)
     # Nearly all pairs are hopeless; they would fill all knots.
     likely = scores > 0.005
+    if likely.sum() < 20:
+        raise InputError(
+            f"{path} finds next to nothing on the pictures that calibrate it: train it for longer"
+        )
     x, y = isotonic(scores[likely], truth[likely])
     settings_path = path.with_suffix(".json")
     settings = json.loads(settings_path.read_text())

@@ -294,14 +294,17 @@ class SegmenterNet(nn.Module):
 
 
 class Exported(nn.Module):
-    """The whole path for one picture with a fixed number of candidates; what the ONNX file holds."""
+    """The whole path for one picture; what the ONNX file holds.
 
-    def __init__(self, net: SegmenterNet, candidates: int) -> None:
+    At most `candidates` peaks of at least `min_heat` go on to masks, always one or more.
+    """
+
+    def __init__(self, net: SegmenterNet, candidates: int, min_heat: float) -> None:
         super().__init__()
-        self.net, self.candidates = net, candidates
+        self.net, self.candidates, self.min_heat = net, candidates, min_heat
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(1, H, W, 3) uint8 → heat (K,), verdict logits (K, categories + 2), masks (K, H/2, W/2) logits."""
+        """(1, H, W, 3) uint8 → heat (N,), verdict logits (N, categories + 2), masks (N, H/2, W/2) logits."""
         x = (image.permute(0, 3, 1, 2).float() - 127.0) / 128.0
         dense = self.net(x)
         h, w = dense.heat.shape[-2:]
@@ -309,12 +312,14 @@ class Exported(nn.Module):
         # The small tie-break keeps equal neighbours from both surviving.
         peak = heat * (F.max_pool2d(heat, 3, 1, 1) == heat).float()
         score, index = torch.topk(peak.reshape(-1), self.candidates)
+        enough = (score >= self.min_heat) | (torch.arange(self.candidates) == 0)
+        score, index = score[enough], index[enough]
         cells = torch.stack([index % w, index // w], 1)
         kernels = dense.kernels[0].reshape(KERNEL_SIZE, h * w).t()[index]
         points = dense.point[0].reshape(PYRAMID, h * w).t()[index]
         features = dense.masks[0].reshape(MASK_CHANNELS, h * w * 16)
         positions = self.net.positions(h * 4, w * 4)
-        logits = self.net.masks_at(features, positions, kernels, cells).view(self.candidates, h * 4, w * 4)
+        logits = self.net.masks_at(features, positions, kernels, cells).view(-1, h * 4, w * 4)
         coarse = F.avg_pool2d(torch.sigmoid(logits[:, ::2, ::2])[None], 2)[0]
         verdict = self.net.classify(dense.tower[0], dense.classes[0], points, coarse)
         return score, verdict, logits

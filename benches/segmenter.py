@@ -1,0 +1,123 @@
+"""The shipped segmenter on pictures of development objects: shapes, looks and surfaces that it never saw.
+
+For every object in sight with at least 500 visible pixels: the best mask that is returned when its label
+is prompted (IoU, 0 when none is), the first one, and whether the most likely label of its mask is right.
+By visible fraction, by size, by category; false positives, calibration, milliseconds a picture.
+
+    python benches/segmenter.py [--pictures 192] [--seed 2000000] [--threads 2] [--weights F.onnx] [--json]
+
+Evaluation objects take no part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from fuse_grounding import _core
+from fuse_grounding.perception.embedded import EmbeddedSegmenter
+from fuse_grounding.training.segmenter_data import Picture
+from fuse_grounding.training.segmenter_score import Found, Score, evaluate
+
+SHARD = 64
+MIN_SCORE = 0.05
+GOAL_IOU, GOAL_MS = 0.7, 120.0
+
+
+def rendered(count: int, seed: int) -> Iterator[Picture]:
+    """Randomised pictures of development objects, with the unoccluded pixels of each."""
+    for shard in range((count + SHARD - 1) // SHARD):
+        size = min(SHARD, count - shard * SHARD)
+        yield from _core.randomized_pictures(seed + shard, size, split="dev", amodal=True)
+
+
+def row(objects: list[Found]) -> dict[str, float | int]:
+    """Means over objects."""
+    mean = lambda values: float(np.mean(values)) if objects else float("nan")  # noqa: E731
+    return {
+        "objects": len(objects),
+        "iou_returned": mean([o.returned_iou for o in objects]),
+        "iou_first": mean([o.first_iou for o in objects]),
+        "iou_any_label": mean([o.object_iou for o in objects]),
+        "label_first": mean([o.first_label == o.category for o in objects]),
+    }
+
+
+def groups(score: Score, labels: tuple[str, ...]) -> dict[str, dict]:
+    """The rows of the table."""
+    half = score.select(visible=0.5, pixels=500)
+    found = {
+        "visible >= 0.5": row(half),
+        "visible >= 0.8": row(score.select(visible=0.8, pixels=500)),
+        "visible 0.5-0.8": row([o for o in half if o.visible < 0.8]),
+        "visible 0.2-0.5": row([o for o in score.select(visible=0.2, pixels=500) if o.visible < 0.5]),
+        "500-1500 px": row([o for o in half if o.pixels < 1500]),
+        "1500-4000 px": row([o for o in half if 1500 <= o.pixels < 4000]),
+        ">= 4000 px": row([o for o in half if o.pixels >= 4000]),
+    }
+    for label in labels:
+        mine = [o for o in half if o.category == label]
+        wrong = Counter(o.first_label or "nothing" for o in mine if o.first_label != label)
+        found[label] = row(mine) | {"taken_for": dict(wrong.most_common(3))}
+    return found
+
+
+def milliseconds(segmenter: EmbeddedSegmenter, pictures: list[Picture]) -> float:
+    """Median over pictures; each is new to the segmenter, all labels are prompted."""
+    times = []
+    for picture in pictures:
+        start = time.perf_counter()
+        segmenter.segment(picture[0], segmenter.labels)
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--pictures", type=int, default=192)
+    parser.add_argument("--seed", type=int, default=2_000_000)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--weights")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    segmenter = EmbeddedSegmenter(arguments.weights, threads=arguments.threads)
+    pictures = list(rendered(arguments.pictures, arguments.seed))
+    score = evaluate(segmenter, pictures, MIN_SCORE)
+    scores, right = np.array(score.scores), np.array(score.right)
+    result = {
+        "pictures": score.pictures,
+        "groups": groups(score, segmenter.labels),
+        "wrong_share_at_0.5": float(1 - right[scores >= 0.5].mean()),
+        "wrong_share_at_0.2": float(1 - right[scores >= 0.2].mean()),
+        "expected_calibration_error": score.calibration_error(),
+        "milliseconds": milliseconds(segmenter, pictures[:48]),
+        "threads": arguments.threads,
+    }
+    if arguments.json:
+        print(json.dumps(result, indent=1))
+        return
+    print(f"{'':18} objects  IoU returned  first  any label  label first")
+    for name, g in result["groups"].items():
+        taken = ", ".join(f"{n} as {label}" for label, n in g.get("taken_for", {}).items())
+        print(
+            f"{name:18} {g['objects']:7d}  {g['iou_returned']:12.3f}  {g['iou_first']:5.3f}  "
+            f"{g['iou_any_label']:9.3f}  {g['label_first']:11.3f}  {taken}"
+        )
+    print(f"wrong among detections scored >= 0.5: {result['wrong_share_at_0.5']:.3f}", end="")
+    print(f", >= 0.2: {result['wrong_share_at_0.2']:.3f}")
+    print(f"expected calibration error: {result['expected_calibration_error']:.3f}")
+    print(f"{result['milliseconds']:.0f} ms a picture, {arguments.threads} threads (goal {GOAL_MS:.0f})")
+    print(f"goal of IoU {GOAL_IOU} at half visible: ", end="")
+    print("met" if result["groups"]["visible >= 0.5"]["iou_returned"] >= GOAL_IOU else "missed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuse_grounding import _core
+from fuse_grounding.errors import InputError
+from fuse_grounding.perception import EmbeddedSegmenter, Segmenter
+from fuse_grounding.perception.embedded import DEFAULT_PATH
+from fuse_grounding.training import segmenter_data as data
+from fuse_grounding.training.segmenter_score import calibration_error, evaluate, isotonic
+
+LABELS = ("a_ball", "a_box")
+
+
+@pytest.fixture(scope="module")
+def segmenter() -> EmbeddedSegmenter:
+    return EmbeddedSegmenter()
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[data.Picture]:
+    """Objects and surfaces of the development range: the network never saw their like."""
+    return _core.randomized_pictures(77, 16, split="dev", amodal=True)
+
+
+def test_finds_what_it_never_saw_and_its_scores_mean_something(segmenter, pictures):
+    typed: Segmenter = segmenter
+    assert typed.labels == tuple(c.split("_train")[0] for c in _first_of_each_category())
+    score = evaluate(segmenter, pictures, 0.05)
+    plain = score.select(visible=0.8, pixels=1500)
+    assert len(plain) >= 40
+    assert np.mean([o.returned_iou for o in plain]) > 0.7
+    assert np.mean([o.first_label == o.category for o in plain]) > 0.65
+    scores, right = np.array(score.scores), np.array(score.right)
+    sure, unsure = right[scores >= 0.8].mean(), right[scores < 0.3].mean()
+    assert sure > 0.75 > 0.3 > unsure
+    assert calibration_error(scores, right) < 0.12
+
+
+def _first_of_each_category() -> list[str]:
+    catalogue = json.loads((DEFAULT_PATH.parents[1] / "data" / "objects" / "catalogue.json").read_text())
+    return [o["id"] for o in catalogue["objects"] if o["id"].endswith("_train_0")]
+
+
+def test_only_prompted_labels_come_back_best_first_at_full_size(segmenter, pictures):
+    rgb = pictures[0][0]
+    everything = segmenter.segment(rgb, segmenter.labels)
+    assert everything == sorted(everything, key=lambda d: -d.score)
+    assert all(d.mask.shape == (480, 640) and d.mask.dtype == bool and d.mask.any() for d in everything)
+    assert all(0.0 <= d.score <= 1.0 for d in everything)
+    label = everything[0].label
+    alone = segmenter.segment(rgb, [label, label])
+    assert [d.score for d in alone] == [d.score for d in everything if d.label == label]
+    assert segmenter.segment(rgb, []) == []
+    # What a caller does with a mask must not reach the remembered result.
+    with pytest.raises(ValueError, match="read-only"):
+        alone[0].mask[:] = False
+
+
+def test_two_instances_agree_bit_for_bit_and_a_changed_picture_is_seen(segmenter, pictures):
+    rgb = pictures[1][0].copy()
+    first = segmenter.segment(rgb, segmenter.labels)
+    second = EmbeddedSegmenter(threads=2).segment(rgb, segmenter.labels)
+    assert [(d.label, d.score) for d in first] == [(d.label, d.score) for d in second]
+    assert all(np.array_equal(a.mask, b.mask) for a, b in zip(first, second, strict=True))
+    rgb[:] = 128
+    assert not [d for d in segmenter.segment(rgb, segmenter.labels) if d.score > 0.5]
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (333, 500), (700, 200)])
+def test_any_picture_size_gives_masks_of_that_size(segmenter, pictures, shape):
+    import cv2
+
+    small = cv2.resize(pictures[2][0], shape[::-1], interpolation=cv2.INTER_AREA)
+    assert segmenter.candidates(small).masks.shape[1:] == shape
+
+
+def test_wrong_arguments_are_named(segmenter):
+    rgb = np.zeros((480, 640, 3), np.uint8)
+    with pytest.raises(InputError, match="does not know the label `rocket`; it knows: knife, scissors"):
+        segmenter.segment(rgb, ["knife", "rocket"])
+    with pytest.raises(InputError, match="sequence of labels, found the string `knife`"):
+        segmenter.segment(rgb, "knife")
+    with pytest.raises(InputError, match=r"uint8 array, found float32 array of shape \(480, 640, 3\)"):
+        segmenter.segment(rgb.astype(np.float32), ["knife"])
+    with pytest.raises(InputError, match=r"found uint8 array of shape \(480, 640\)"):
+        segmenter.segment(rgb[..., 0], ["knife"])
+    with pytest.raises(InputError, match="found NoneType"):
+        segmenter.segment(None, ["knife"])
+    with pytest.raises(InputError, match="at least 32 pixels"):
+        segmenter.segment(rgb[:8], ["knife"])
+    with pytest.raises(InputError, match="threads must be"):
+        EmbeddedSegmenter(threads=0)
+
+
+def test_damaged_files_are_refused_by_name(tmp_path: Path):
+    weights, settings = DEFAULT_PATH.read_bytes(), DEFAULT_PATH.with_suffix(".json").read_text()
+    copy = tmp_path / "copy.onnx"
+    with pytest.raises(InputError, match=r"cannot read .*copy\.onnx"):
+        EmbeddedSegmenter(copy)
+    copy.write_bytes(weights[: len(weights) // 2])
+    with pytest.raises(InputError, match=r"cannot read .*copy\.json"):
+        EmbeddedSegmenter(copy)
+    described = copy.with_suffix(".json")
+    described.write_text(settings)
+    with pytest.raises(InputError, match=r"copy\.onnx is damaged or not the file that copy\.json describes"):
+        EmbeddedSegmenter(copy)
+    copy.write_bytes(weights)
+    for broken in (settings[:100], "{}", settings.replace('"schema_version": 1', '"schema_version": 9')):
+        described.write_text(broken)
+        with pytest.raises(InputError, match=r"copy\.json"):
+            EmbeddedSegmenter(copy)
+    import hashlib
+
+    copy.write_bytes(b"not onnx")
+    described.write_text(
+        settings.replace(hashlib.sha256(weights).hexdigest(), hashlib.sha256(b"not onnx").hexdigest())
+    )
+    with pytest.raises(InputError, match=r"copy\.onnx is not a usable ONNX file"):
+        EmbeddedSegmenter(copy)
+
+
+def test_randomised_pictures_repeat_and_tell_the_truth():
+    first, again = (_core.randomized_pictures(5, 4, width=160, height=120, amodal=True) for _ in range(2))
+    longer = _core.randomized_pictures(5, 6, width=160, height=120, amodal=True)
+    for a, b, c in zip(first, again, longer, strict=False):
+        assert np.array_equal(a[0], b[0])
+        assert np.array_equal(a[1], b[1])
+        assert a[2] == b[2]
+        assert np.array_equal(a[0], c[0])
+        counts = np.bincount(a[1].reshape(-1))
+        assert {o["id"]: o["visible_px"] for o in a[2]} == {i: n for i, n in enumerate(counts) if i and n}
+        assert all(o["unoccluded_px"] >= o["visible_px"] for o in a[2])
+    other = _core.randomized_pictures(6, 1, width=160, height=120)
+    assert not np.array_equal(first[0][0], other[0][0])
+    with pytest.raises(InputError, match="found `eval`"):
+        _core.randomized_pictures(5, 1, split="eval")
+    with pytest.raises(InputError):
+        _core.randomized_pictures(5, 1, width=0)
+
+
+def test_isotonic_map_rises_and_repairs_overconfidence():
+    rng = np.random.default_rng(0)
+    raw = rng.random(20000)
+    right = rng.random(20000) < raw**2
+    x, y = isotonic(raw, right)
+    assert x == sorted(x)
+    assert y == sorted(y)
+    assert len(x) <= 26
+    assert np.abs(np.interp(raw, x, y) - raw**2).mean() < 0.02
+    assert calibration_error(np.interp(raw, x, y), right) < 0.01 < 0.1 < calibration_error(raw, right)
+
+
+def toy(seed: int, count: int) -> list[data.Picture]:
+    """Bright discs and boxes on grey."""
+    pictures = []
+    for k in range(count):
+        rng = np.random.default_rng([seed, k])
+        rgb, ids = np.full((96, 128, 3), 90, np.uint8), np.zeros((96, 128), np.uint8)
+        y, x = np.mgrid[:96, :128]
+        objects = []
+        for i in (1, 2):
+            cx, cy, r = rng.integers(20, 108), rng.integers(20, 76), 14
+            ball = rng.random() < 0.5
+            inside = (x - cx) ** 2 + (y - cy) ** 2 < r * r if ball else (abs(x - cx) < r) & (abs(y - cy) < r)
+            rgb[inside], ids[inside] = (230, 60, 60) if ball else (60, 60, 230), i
+            objects.append(
+                {"id": i, "category": LABELS[0 if ball else 1], "visible_px": 0, "unoccluded_px": 0}
+            )
+        pictures.append((rgb, ids, [o for o in objects if (ids == o["id"]).any()]))
+    return pictures
+
+
+def test_shards_resume_and_refuse_damage(tmp_path: Path):
+    asked: list[int] = []
+
+    def render(seed: int, count: int) -> list[data.Picture]:
+        asked.append(seed)
+        return toy(seed, count)
+
+    data.write_shards(tmp_path, 128, render, 40, lambda _: None)
+    data.write_shards(tmp_path, 192, render, 40, lambda _: None)
+    assert asked == [40, 41, 42]
+    shards = data.Shards(tmp_path, LABELS)
+    assert len(shards) == 192
+    assert np.array_equal(shards[64][0], toy(41, 1)[0][0])
+    sample = data.make_sample(
+        shards[3], shards.category_of_id(shards[3][2]), (128, 96), np.random.default_rng(1)
+    )
+    assert sample.image.shape == (96, 128, 3)
+    assert (sample.heat == 1).sum() == len(sample.cells) > 0
+    (tmp_path / "shard_00001" / "ids.npy").write_bytes(b"junk")
+    with pytest.raises(InputError, match="shard_00001"):
+        data.Shards(tmp_path, LABELS)
+    with pytest.raises(InputError, match="no rendered shards"):
+        data.Shards(tmp_path / "empty", LABELS)
+
+
+def test_training_learns_resumes_and_exports(tmp_path: Path):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from fuse_grounding.training import segmenter as training
+    from fuse_grounding.training import segmenter_export as export
+
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    data.write_shards(tmp_path / "data", 64, toy, 0, lambda _: None)
+    config = training.TrainConfig(
+        crop=(64, 64), batch=4, part=2, warmup=4, minutes=5, pretrained=False, seed=3
+    )
+    training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=25)
+    run = training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=50)
+    assert run.step == 50
+    log = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in log] == [25, 50]
+    assert log[1]["mask"] < 0.8 * log[0]["mask"]
+    assert log[1]["dense"] < log[0]["dense"]
+    path = tmp_path / "toy.onnx"
+    export.write(path, export.to_onnx(run.averaged(), (128, 96)), LABELS, (128, 96), {"steps": run.step})
+    assert path.stat().st_size < 8e6
+    with pytest.raises(InputError, match="train it for longer"):
+        export.calibrate(path, toy(9, 2), "toys")
+    found = EmbeddedSegmenter(path).candidates(toy(9, 1)[0][0])
+    assert found.masks.shape[1:] == (96, 128)
+    assert found.scores.shape == (len(found.masks), 2)
+    with pytest.raises(InputError, match="other labels"):
+        training.train(tmp_path / "data", ("b",), tmp_path / "run", config, lambda _: None, steps=60)
+    (tmp_path / "run" / "checkpoint.pt").write_bytes(b"junk")
+    with pytest.raises(InputError, match="not a checkpoint"):
+        training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=60)
