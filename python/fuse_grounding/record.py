@@ -175,7 +175,7 @@ class ResultEntry(Entry):
     registrations: dict[str, int]
     planner: str | None
     """Which amortised planner decided; `none` where a gated method ran without one."""
-    metrics: dict[str, float | bool | None] | None = None
+    metrics: dict[str, bool | int | float | None] | None = None
     """Against the ground truth, where it is known."""
     timings: Timings
     wall_seconds: float

@@ -41,11 +41,16 @@ def prepare(folder: Path, force: bool = False) -> Path:
 class RunFolder:
     """Writes `episode.json`, `steps/NN/*.png`, `overview.png`, `grounding.png`, `scene.ply`."""
 
-    def __init__(self, folder: Path):
+    def __init__(
+        self, folder: Path, episode_id: str | None = None, scene: str | None = None, seed: int | None = None
+    ):
+        """The episode's name, scene and seed go into the record, where they are known."""
         self.folder = folder
+        self._episode = (episode_id, scene, seed)
 
     def started(self, session: Session) -> None:
         """The record without steps."""
+        session.record.episode_id, session.record.scene, session.record.seed = self._episode
         self._write_record(session)
 
     def stepped(self, session: Session, step: StepEntry) -> None:

@@ -61,7 +61,7 @@ def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str]):
 
 def test_an_output_folder_in_use_is_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     (tmp_path / "mine.txt").write_text("x")
-    status, _, stderr = run(capsys, "run", "cut", "--method", "static", "--out", str(tmp_path))
+    status, _, stderr = run(capsys, "run", "cut", "--seed", "7", "--method", "static", "--out", str(tmp_path))
     assert status == 2
     assert "exists and is not empty" in stderr
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
@@ -90,11 +90,11 @@ def test_a_static_run_prints_its_record(capsys: pytest.CaptureFixture[str], tmp_
     status, stdout, _ = run(
         capsys,
         "run",
-        "something to pour tea with",
+        "something to cut a rope with",
         "--method",
         "static",
         "--seed",
-        "3",
+        "7",
         "--json",
         "--out",
         str(out),
@@ -104,8 +104,8 @@ def test_a_static_run_prints_its_record(capsys: pytest.CaptureFixture[str], tmp_
     record = EpisodeRecord.load(out / "episode.json")
     assert printed.pop("out") == str(out)
     assert printed == record.model_dump(mode="json")
-    assert record.verb == "pour"
-    assert record.seed == 3
+    assert record.verb == "cut"
+    assert (record.seed, record.scene) == (7, "dev_kitchen")
     assert record.result is not None
     assert record.result.metrics is not None
     assert 0 <= float(record.result.metrics["iou"] or 0) <= 1
@@ -144,4 +144,5 @@ def test_interrupting_leaves_a_readable_record_and_status_130(tmp_path: Path):
     assert b"interrupted" in stderr
     kept = EpisodeRecord.load(record)
     assert kept.steps
+    assert kept.seed == 7
     assert kept.result is None

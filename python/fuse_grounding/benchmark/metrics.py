@@ -30,7 +30,7 @@ class Truth(Protocol):
 def iou(a: np.ndarray, b: np.ndarray) -> float:
     """Intersection over union of two (H, W) masks; 0 when both are empty."""
     union = np.count_nonzero(a | b)
-    return np.count_nonzero(a & b) / union if union else 0.0
+    return float(np.count_nonzero(a & b) / union) if union else 0.0
 
 
 def pixel_ratio(pixels: float, least: float, most: float) -> float:
@@ -55,7 +55,7 @@ def center_score(mask: np.ndarray) -> float:
 
 def evaluate(
     grounded: Grounded, truth: Truth, segmenter: Segmenter, config: Config
-) -> dict[str, float | bool | None]:
+) -> dict[str, bool | int | float | None]:
     """All metrics of a returned grounding.
 
     `iou` is the best over the valid objects, `success` whether it reaches `metric.iou`. The others are
@@ -75,7 +75,7 @@ def evaluate(
     center = None if view.camera is None else view.camera.center
     distance = None if center is None else float(np.linalg.norm(center - target.position))
     return {
-        "success": overlaps[best] >= config.metric.iou,
+        "success": bool(overlaps[best] >= config.metric.iou),
         "iou": overlaps[best],
         "target_pixels": pixels,
         "target_pixel_ratio": pixel_ratio(pixels, target.least_pixels, target.most_pixels),

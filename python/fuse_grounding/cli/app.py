@@ -59,6 +59,13 @@ _UsageError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "
 
 def execute(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns its exit status."""
+    status = _attempt(arguments)
+    if status == 130:
+        typer.echo("fuse: interrupted; what was finished is kept", err=True)
+    return status
+
+
+def _attempt(arguments: Sequence[str] | None) -> int:
     try:
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
         return status if isinstance(status, int) else 0
@@ -69,7 +76,6 @@ def execute(arguments: Sequence[str] | None = None) -> int:
         typer.echo(f"fuse: {error}", err=True)
         return 1
     except (KeyboardInterrupt, typer.Abort):
-        typer.echo("fuse: interrupted; what was finished is kept", err=True)
         return 130
     except typer.Exit as exit_:
         return exit_.exit_code

@@ -62,14 +62,14 @@ def command(
     episode = make_episode(verb, scene, seed, query=query)
     environment = TabletopEnvironment(episode)
     folder = prepare(out or next_folder(Path("runs")), force)
-    narrator, files = Narrator(quiet=as_json), RunFolder(folder)
+    files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)
+    narrator = Narrator(quiet=as_json)
     narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")
     try:
         grounded = agent.run(environment, query, watchers=[files, narrator])
     finally:
         narrator.close()
     record = grounded.record
-    record.seed, record.scene, record.episode_id = episode.seed, episode.scene_id, episode.episode_id
     assert record.result is not None
     record.result.metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
     record.write(folder / "episode.json")
