@@ -122,6 +122,8 @@ def test_interrupting_leaves_a_readable_record_and_status_130(tmp_path: Path):
             "fuse_grounding.cli.app",
             "run",
             "cut",
+            "--seed",
+            "7",
             "--method",
             "random",
             "--out",
