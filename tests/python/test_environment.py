@@ -60,6 +60,8 @@ def test_pictures_are_the_same_twice(environment):
     again = TabletopEnvironment(environment.episode)
     one, two = environment.render_at(7, 0), again.render_at(7, 0)
     assert np.array_equal(one.rgb, two.rgb)
+    assert one.depth is not None
+    assert two.depth is not None
     assert np.array_equal(one.depth, two.depth)
     with pytest.raises(InputError, match="node 36"):
         environment.render_at(36, 0)

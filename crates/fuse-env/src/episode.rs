@@ -204,7 +204,7 @@ impl Episode {
             }
             let q = object.rotation;
             let norm = Quat::from_xyzw(q.x, q.y, q.z, q.w).length();
-            if !object.translation.iter().all(|v| v.is_finite()) || !((norm - 1.0).abs() < 1e-3) {
+            if !object.translation.iter().all(|v| v.is_finite()) || !(0.999..=1.001).contains(&norm) {
                 return Err(format!("object `{id}` has no finite position or no unit rotation"));
             }
         }

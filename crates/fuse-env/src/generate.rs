@@ -14,11 +14,14 @@ use crate::configuration::SceneConfiguration;
 use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, Quaternion, START_FRACTION};
 use crate::placement::{self, Item, Placed, Rest, Surface};
 use crate::ring::{Ring, Viewpoint};
-use crate::targets::{TargetStatistics, statistics};
+use crate::targets::{TargetStatistics, estimate, statistics};
 use crate::world::{Stage, WorldError};
 
 /// Layouts that are tried for one episode.
-const ATTEMPTS: u64 = 80;
+const ATTEMPTS: u64 = 120;
+/// Layouts after which another valid thing may stand in full view at the start, and two of them are
+/// laid: where all tall things are valid (for pouring), only they can hide one another.
+const STRICT_ATTEMPTS: u64 = 24;
 /// Pixels from which a target counts as seen (the smallest region that may end a search).
 const SEEN_PX: u32 = 500;
 /// Share of what could be seen of the target that some viewpoint must show.
@@ -28,6 +31,9 @@ const WELL_SEEN: f32 = 0.8;
 const START_UNOCCLUDED_PX: u32 = 500;
 /// Chance of a further valid object among the distractors, for each of two.
 const SECOND_TARGET: f64 = 0.3;
+
+/// Reason for throwing a layout away.
+const NOT_HIDDEN: &str = "no view where the target is partly hidden";
 
 /// Categories valid for each verb.
 pub type Validity = BTreeMap<String, Vec<Category>>;
@@ -107,6 +113,7 @@ fn choose<'a>(
     stage: &'a Stage,
     scene: &SceneConfiguration,
     valid: &[Category],
+    strict: bool,
     rng: &mut ChaCha8Rng,
 ) -> Option<Vec<&'a ObjectRecord>> {
     let mut all: Vec<&ObjectRecord> = stage.catalogue().of(scene.split).collect();
@@ -120,7 +127,7 @@ fn choose<'a>(
     let [low, high] = scene.clutter.distractors;
     let wanted = rng.random_range(low..=high) as usize;
     let mut chosen = vec![target];
-    let mut seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET)).count();
+    let mut seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET) || !strict).count();
     let near = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == family(category);
     let tall = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == 0;
     for (rule, count) in [(&near as &dyn Fn(&ObjectRecord) -> bool, 3), (&tall, 3), (&|_: &ObjectRecord| true, wanted)]
@@ -176,17 +183,20 @@ fn lay(
     Ok(Ok(objects))
 }
 
-/// A start from which the target is partly hidden and no other valid thing stands in full view.
-fn choose_start(targets: &[TargetStatistics], rng: &mut ChaCha8Rng) -> Option<Viewpoint> {
-    let (target, others) = targets.split_first()?;
+/// Viewpoints from which the target is partly hidden; if `strict`, only those where no other valid
+/// thing stands in full view. `slack` widens the bounds, for estimates.
+fn starts(targets: &[TargetStatistics], strict: bool, slack: f32) -> Vec<Viewpoint> {
+    let Some((target, others)) = targets.split_first() else { return vec![] };
+    let least = START_UNOCCLUDED_PX as f32 * (1.0 - 4.0 * slack);
     let hidden = |v: &Viewpoint| {
         let fraction = target.fraction(*v);
-        (START_FRACTION[0]..=START_FRACTION[1]).contains(&fraction)
-            && target.unoccluded_px[v.index()] >= START_UNOCCLUDED_PX
-            && !others.iter().any(|o| o.fraction(*v) > START_FRACTION[1] && o.visible_px[v.index()] >= SEEN_PX)
+        let in_view =
+            |o: &TargetStatistics| o.fraction(*v) > START_FRACTION[1] + slack && o.visible_px[v.index()] >= SEEN_PX;
+        (START_FRACTION[0] - slack..=START_FRACTION[1] + slack).contains(&fraction)
+            && target.unoccluded_px[v.index()] as f32 >= least
+            && !(strict && others.iter().any(in_view))
     };
-    let starts: Vec<Viewpoint> = Viewpoint::all().filter(hidden).collect();
-    starts.choose(rng).copied()
+    Viewpoint::all().filter(hidden).collect()
 }
 
 /// Makes the episode of a request, and counts why layouts before it were thrown away. The same
@@ -202,7 +212,8 @@ pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<
     for attempt in 0..ATTEMPTS {
         let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
         rng.set_stream(attempt);
-        let records = choose(stage, scene, valid, &mut rng)
+        let strict = attempt < STRICT_ATTEMPTS;
+        let records = choose(stage, scene, valid, strict, &mut rng)
             .ok_or_else(|| GenerateError::NoTarget { verb: request.verb.clone(), split: scene.split })?;
         let mut reject = |reason| *rejections.entry(reason).or_insert(0) += 1;
         let objects = match lay(stage, scene, records, &mut rng)? {
@@ -216,14 +227,18 @@ pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<
         let middles = stage.middles(&objects)?;
         let asked: Vec<_> =
             objects.iter().zip(middles).filter(|(o, _)| valid.contains(&o.category)).map(|p| p.1).collect();
+        if starts(&estimate(&renderer, &ring, &asked), strict, 0.08).is_empty() {
+            reject(NOT_HIDDEN);
+            continue;
+        }
         let targets = statistics(&renderer, &ring, &asked);
         if !targets[0].well_seen(SEEN_PX, WELL_SEEN) {
             reject("the target is never seen well");
             continue;
         }
-        match choose_start(&targets, &mut rng) {
-            Some(start) => return Ok((assemble(request, scene, objects, targets, start), rejections)),
-            None => reject("no view where the target is partly hidden"),
+        match starts(&targets, strict, 0.0).choose(&mut rng) {
+            Some(start) => return Ok((assemble(request, scene, objects, targets, *start), rejections)),
+            None => reject(NOT_HIDDEN),
         }
     }
     Err(GenerateError::Exhausted {

@@ -45,13 +45,30 @@ impl TargetStatistics {
 
 /// Statistics of the objects `(instance id, middle)`, from exact counts at 640×480.
 pub fn statistics(renderer: &Renderer, ring: &Ring, objects: &[(u32, Point3<f64>)]) -> Vec<TargetStatistics> {
+    counted(renderer, ring, objects, 1)
+}
+
+/// As [`statistics`], from every fourth row and column and scaled up: to see soon that a layout will
+/// not do.
+pub fn estimate(renderer: &Renderer, ring: &Ring, objects: &[(u32, Point3<f64>)]) -> Vec<TargetStatistics> {
+    counted(renderer, ring, objects, 4)
+}
+
+fn counted(renderer: &Renderer, ring: &Ring, objects: &[(u32, Point3<f64>)], coarse: u32) -> Vec<TargetStatistics> {
     let views: Vec<Viewpoint> = Viewpoint::all().collect();
-    let counts: Vec<_> = views.par_iter().map(|v| renderer.amodal_all(&ring.camera(*v))).collect();
+    let look = |v: &Viewpoint| {
+        let mut camera = ring.camera(*v);
+        let (k, by) = (&mut camera.intrinsics, f64::from(coarse));
+        (k.width, k.height) = (k.width / coarse, k.height / coarse);
+        (k.fx, k.fy, k.cx, k.cy) = (k.fx / by, k.fy / by, k.cx / by, k.cy / by);
+        renderer.amodal_all(&camera)
+    };
+    let counts: Vec<_> = views.par_iter().map(look).collect();
     objects
         .iter()
         .map(|(id, position)| {
             let of = |pick: fn(&fuse_render::Amodal) -> u32| -> Vec<u32> {
-                counts.iter().map(|all| all.iter().find(|a| a.id == *id).map_or(0, pick)).collect()
+                counts.iter().map(|all| all.iter().find(|a| a.id == *id).map_or(0, pick) * coarse * coarse).collect()
             };
             let visible_px = of(|a| a.visible_px);
             let distances = views.iter().map(|v| nalgebra::distance(&ring.camera(*v).pose.center(), position));
