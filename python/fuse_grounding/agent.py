@@ -208,10 +208,10 @@ class Session:
         with self.clock("segment"):
             detections = self._parts.segmenter.segment(seen.rgb, self.hypotheses.labels)
         with self.clock("ground"):
-            step = self._ground(seen, registered, detections)
+            step, view = self._ground(seen, registered, detections)
         if (reason := self._stop_reason(step)) is not None:
             return self._finish(step, reason)
-        decision = self.policy.decide(self._situation(feasible), self.clock)
+        decision = self.policy.decide(self._situation(view, feasible), self.clock)
         ledger.note(step, decision)
         self._keep(step, decision.maps)
         if decision.action is None:
@@ -255,7 +255,7 @@ class Session:
 
     def _ground(
         self, seen: Observation, registered: RegisteredView | None, detections: list[Detection]
-    ) -> StepEntry:
+    ) -> tuple[StepEntry, Glance]:
         """Scores the detections, keeps the best view, counts patience."""
         index, pitch = len(self.record.steps), ledger.pitch_deg(self._config, seen)
         scored = grounding.score(detections, seen.depth, self._config.stopping)
@@ -266,7 +266,7 @@ class Session:
             improved = self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
             self._runner_up = _surer(self._runner_up, self.glance)
-        return StepEntry(
+        step = StepEntry(
             index=index,
             node=seen.node,
             pitch_deg=pitch,
@@ -275,6 +275,7 @@ class Session:
             best_score=self._best_score(),
             improved=improved,
         )
+        return step, self.glance
 
     def _best_score(self) -> float | None:
         best = None if self.best is None else grounding.best_fused(self.best.scored)
@@ -287,15 +288,14 @@ class Session:
             return f"budget: {self._config.budget.actions} actions"
         return None
 
-    def _situation(self, feasible: np.ndarray) -> Situation:
-        assert self.glance is not None
+    def _situation(self, view: Glance, feasible: np.ndarray) -> Situation:
         return Situation(
-            index=self.glance.viewpoint.index,
-            rgb=self.glance.observation.rgb,
+            index=view.viewpoint.index,
+            rgb=view.observation.rgb,
             feasible=feasible,
             candidates=self.hypotheses.candidates,
-            detections=self.glance.detections,
-            camera=self.glance.viewpoint.camera,
+            detections=view.detections,
+            camera=view.viewpoint.camera,
             scene=None if self.spatial is None else self.spatial.map,
         )
 
@@ -310,22 +310,28 @@ class Session:
 
     def _keep(self, step: StepEntry, maps: EvidenceMaps | None) -> None:
         """Attaches the evidence of a decision to the last view; under `explicit.every_step`, makes it."""
+        assert self.glance is not None
         if maps is None and self.spatial is not None and self._config.explicit.every_step:
             self.spatial.map.refine(self.clock)
-            maps = self.evidence_now()
-        if maps is None or self.glance is None:
+            with self.clock("evidence"):
+                maps = self.evidence_of(self.glance)
+        if maps is None:
             return
         step.functional_uncertainty, step.coverage = maps.functional_uncertainty, maps.coverage
         seen, self.glance = self.glance, replace(self.glance, maps=maps)
         self.best = self.glance if self.best is seen else self.best
         self._runner_up = self.glance if self._runner_up is seen else self._runner_up
 
-    def evidence_now(self) -> EvidenceMaps | None:
-        """Evidence of the last view with the map as it is: for pictures, nothing is refined."""
-        if self.glance is None or self.spatial is None:
-            return None
-        rendered = self.spatial.map.render(self.glance.viewpoint.camera)
-        return self._parts.look(self._situation(np.ones(15, bool)), rendered)
+    def evidence_of(self, view: Glance) -> EvidenceMaps:
+        """Evidence of a view with the map as it is now: for pictures, nothing is refined.
+
+        Without a map, semantics alone.
+        """
+        situation = self._situation(view, np.ones(15, bool))
+        if self.spatial is None:
+            semantic = self._parts.look(situation, None).semantic
+            return EvidenceMaps(semantic, None, semantic)
+        return self._parts.look(situation, self.spatial.map.render(situation.camera))
 
     def _close(self, step: StepEntry) -> None:
         """The step is done: into the record, to the watchers."""

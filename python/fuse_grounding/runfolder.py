@@ -55,8 +55,12 @@ class RunFolder:
 
     def stepped(self, session: Session, step: StepEntry) -> None:
         """The step's pictures, then the record that mentions it."""
-        if session.glance is not None:
-            self._write_step(session.glance, session.glance.maps)
+        view = session.glance
+        assert view is not None
+        maps = view.maps
+        if maps is None and session.spatial is None:
+            maps = session.evidence_of(view)  # semantics, for people
+        self._write_step(view, maps)
         self._write_record(session)
 
     def finished(self, session: Session, grounded: Grounded) -> None:
@@ -64,13 +68,12 @@ class RunFolder:
 
         The last view decided nothing, so that its evidence is rendered here, from the map as it was.
         """
-        view = session.returned
+        view, last = session.returned, session.glance
         assert view is not None
-        maps = view.maps
-        if session.glance is not None and session.glance.maps is None:
-            last = session.evidence_now()
-            self._write_step(session.glance, last)
-            maps = last if session.glance is view else maps
+        assert last is not None
+        if last.maps is None:
+            self._write_step(last, session.evidence_of(last))
+        maps = view.maps or session.evidence_of(view)
         visualize.write(
             self.folder / "overview.png",
             visualize.overview(grounded.rgb, maps, grounded.mask, _title(session, grounded)),
