@@ -15,8 +15,10 @@ import json
 import resource
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from fuse_grounding import splat
@@ -91,6 +93,16 @@ class Judge:
         )
         return [splat.psnr(d, v.rgb) for d, v in zip(drawn, self.views, strict=True)]
 
+    def save(self, gaussians: splat.Gaussians, path: Path) -> None:
+        """Three held-out views, observed above and predicted below."""
+        chosen = self.views[:: max(1, len(self.views) // 3)][:3]
+        drawn = [
+            np.rint(splat.render(gaussians, v.camera)[0] * 255).astype(np.uint8) for v in chosen if v.camera
+        ]
+        sheet = np.vstack([np.hstack([v.rgb for v in chosen]), np.hstack(drawn)])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+
 
 def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     """One scene: seeds, walk, refinements; prints a line for each."""
@@ -143,6 +155,8 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
             f"loss {stats.loss:.4f}, {stats.gaussians} Gaussians, {seconds:.1f} s",
             flush=True,
         )
+        if options.pictures:
+            judge.save(trainer.gaussians, Path(options.pictures) / f"{scene}_{step:02d}.png")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"  {lines[-1]['psnr'] - flat:+.2f} dB over one flat colour; peak memory {peak:.0f} MiB")
     return {"scene": scene, "flat_psnr": flat, "refinements": lines, "peak_mib": peak}
@@ -161,6 +175,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-points", action="store_true", help="do not add newly triangulated points")
     parser.add_argument("--config", default="{}", help="settings of the trainer as JSON")
+    parser.add_argument("--pictures", help="write observed and predicted views to this folder")
     parser.add_argument("--json", help="write the figures to this file")
     options = parser.parse_args()
     results = [run(scene, options) for scene in options.scenes]

@@ -72,8 +72,8 @@ class TrainerConfig:
     """Iterations between two resets of the opacities (supplement)."""
     opacity_reset_margin: int = 300
     """A reset within the last so many iterations of a call waits for the next call; ours."""
-    max_gaussians: int = 200_000
-    """No Gaussians are added beyond this number; ours."""
+    max_gaussians: int = 30_000
+    """No Gaussians are added beyond this number, which keeps a refinement within seconds; ours."""
     extent: float | None = None
     """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -50,7 +50,7 @@ pub struct TrainerConfig {
     /// A reset that falls into the last so many iterations of a call waits for the next call: the
     /// map is looked at between calls, and a reset needs about 300 iterations to heal. 0: never.
     pub opacity_reset_margin: u32,
-    /// No Gaussians are added beyond this number.
+    /// No Gaussians are added beyond this number, which keeps a refinement within seconds (ours).
     pub max_gaussians: usize,
     /// Extent of the scene, metres; `None`: 1.1 times the largest distance of a camera from the
     /// cameras' mean, as in the original.
@@ -84,7 +84,7 @@ impl Default for TrainerConfig {
             prune_radius: 20.0,
             opacity_reset_interval: 3000,
             opacity_reset_margin: 300,
-            max_gaussians: 200_000,
+            max_gaussians: 30_000,
             extent: None,
             background: [0.0; 3],
             seed: 0,

@@ -7,6 +7,8 @@
 //! Quantities: metres, world right-handed with z up; camera x right, y down, z forward; colours
 //! in [0, 1].
 
+#![allow(clippy::needless_range_loop, reason = "kernels index fixed axes, to be read beside their formulas")]
+
 mod config;
 pub mod constants;
 mod cpu;

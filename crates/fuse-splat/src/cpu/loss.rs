@@ -70,12 +70,6 @@ impl Target {
         (target.mean, target.square) = (mean, square);
         target
     }
-
-    /// Value of channel `c` at flat pixel index `i`, in [0, 1].
-    #[cfg(test)]
-    pub fn value(&self, c: usize, i: usize) -> f32 {
-        f32::from(self.bytes[c * self.width * self.height + i]) / 255.0
-    }
 }
 
 /// Length of a row with room for the window on both sides, in whole vectors.

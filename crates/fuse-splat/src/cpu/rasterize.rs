@@ -179,7 +179,7 @@ impl<V: F32x8> Broadcast<V> {
             b: V::splat(splat.b),
             c: V::splat(splat.c),
             log2_opacity: V::splat(splat.log2_opacity),
-            color: splat.color.map(V::splat),
+            color: [V::splat(splat.color[0]), V::splat(splat.color[1]), V::splat(splat.color[2])],
         }
     }
 

@@ -75,7 +75,7 @@ impl Kernel for TileBackward<'_> {
             remaining: [[0.0; 8]; TILE_BLOCKS],
             gradient: [[[0.0; 8]; 3]; TILE_BLOCKS],
         };
-        self.load(column, row, &mut tile);
+        self.load::<V>(column, row, &mut tile);
         for ((&g, &mask), out) in self.gaussian.iter().zip(self.mask).zip(self.out) {
             *out = if mask == 0 {
                 [0.0; 9]
@@ -90,25 +90,38 @@ impl Kernel for TileBackward<'_> {
 impl TileBackward<'_> {
     /// Rows of the image → blocks. Pixels outside the image have no gradient.
     #[inline(always)]
-    fn load(&self, column: usize, row: usize, tile: &mut Tile) {
+    fn load<V: F32x8>(&self, column: usize, row: usize, tile: &mut Tile) {
         let (width, n) = (self.view.width, self.view.pixels());
-        let left = column * TILE_WIDTH;
-        let columns = TILE_WIDTH.min(width - left);
-        let rows = TILE_HEIGHT.min(self.view.height - row * TILE_HEIGHT);
-        for y in 0..rows {
-            let at = (row * TILE_HEIGHT + y) * width + left;
-            for x in 0..columns {
-                let block = y / BLOCK_HEIGHT * (TILE_WIDTH / BLOCK_WIDTH) + x / BLOCK_WIDTH;
-                let lane = y % BLOCK_HEIGHT * BLOCK_WIDTH + x % BLOCK_WIDTH;
-                let mut dot = 0.0;
-                for c in 0..3 {
-                    let gradient = self.gradient[c * n + at + x];
-                    tile.gradient[block][c][lane] = gradient;
-                    dot += gradient * self.color[c * n + at + x];
-                }
-                tile.remaining[block][lane] = dot;
+        let (left, top) = (column * TILE_WIDTH, row * TILE_HEIGHT);
+        for block in 0..TILE_BLOCKS {
+            let x = left + block % (TILE_WIDTH / BLOCK_WIDTH) * BLOCK_WIDTH;
+            let y = top + block / (TILE_WIDTH / BLOCK_WIDTH) * BLOCK_HEIGHT;
+            if x >= width || y >= self.view.height {
+                continue;
             }
+            let columns = BLOCK_WIDTH.min(width - x);
+            let mut remaining = V::zero();
+            for c in 0..3 {
+                let mut color = [0.0; 8];
+                for line in 0..BLOCK_HEIGHT.min(self.view.height - y) {
+                    let at = c * n + (y + line) * width + x;
+                    let lane = line * BLOCK_WIDTH;
+                    copy(&self.color[at..at + columns], &mut color[lane..lane + BLOCK_WIDTH]);
+                    copy(&self.gradient[at..at + columns], &mut tile.gradient[block][c][lane..lane + BLOCK_WIDTH]);
+                }
+                remaining = V::load(&color).mul_add(V::load(&tile.gradient[block][c]), remaining);
+            }
+            remaining.store(&mut tile.remaining[block]);
         }
+    }
+}
+
+/// Copies as many values as there are; whole rows of a block without a call.
+#[inline(always)]
+fn copy(from: &[f32], to: &mut [f32]) {
+    match (from.first_chunk::<BLOCK_WIDTH>(), to.first_chunk_mut::<BLOCK_WIDTH>()) {
+        (Some(from), Some(to)) => *to = *from,
+        _ => to[..from.len()].copy_from_slice(from),
     }
 }
 
