@@ -93,6 +93,22 @@ def _read_settings(path: Path, weights: bytes, weights_path: Path) -> _Settings:
     return settings
 
 
+def _enlarge(logits: np.ndarray, mask: np.ndarray) -> None:
+    """Fills `mask` (H, W) bool with where the enlarged `logits` are above zero."""
+    h, w = logits.shape
+    y_times, x_times = mask.shape[0] // h, mask.shape[1] // w
+    if (h * y_times, w * x_times) != mask.shape:
+        mask[:] = cv2.resize(logits, mask.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0
+        return
+    # By a whole factor the part that holds the object, with two pixels around it, gives the same bits.
+    rows, columns = np.nonzero((logits > 0).any(1))[0], np.nonzero((logits > 0).any(0))[0]
+    top, bottom = max(rows[0] - 2, 0), min(rows[-1] + 3, h)
+    left, right = max(columns[0] - 2, 0), min(columns[-1] + 3, w)
+    size = ((right - left) * x_times, (bottom - top) * y_times)
+    part = cv2.resize(logits[top:bottom, left:right], size, interpolation=cv2.INTER_LINEAR)
+    mask[top * y_times : bottom * y_times, left * x_times : right * x_times] = part > 0
+
+
 class EmbeddedSegmenter:
     """Instances of prompted labels by the shipped network; implements `Segmenter`.
 
@@ -176,29 +192,34 @@ class EmbeddedSegmenter:
         picture[: inner[1], : inner[0]] = cv2.resize(rgb, inner, interpolation=how)
         heat, verdict, logits = self._session.run(None, {"image": picture[None]})
         logits = logits[:, : max(1, inner[1] // 2), : max(1, inner[0] // 2)]
-        area = (logits > 0).sum((1, 2))
+        inside = logits > 0
+        area = np.count_nonzero(inside, axis=(1, 2))
         sound = np.nonzero((heat >= s.min_heat) & (area * 4 >= s.min_pixels * scale**2))[0]
         raw = _softmax(verdict[sound, :-1] / s.temperature)[:, :-1] * _sigmoid(verdict[sound, -1:])
         order = np.argsort(-raw.max(1, initial=0.0), kind="stable")
-        kept = self._suppress(logits[sound[order]] > 0)
+        kept = self._suppress(inside[sound[order]])
         chosen = order[kept]
         masks = np.zeros((len(kept), height, width), bool)
         for i, k in enumerate(sound[chosen]):
-            masks[i] = cv2.resize(logits[k], (width, height), interpolation=cv2.INTER_LINEAR) > 0
+            _enlarge(logits[k], masks[i])
         # Detections share these.
         masks.setflags(write=False)
         return Candidates(masks, np.interp(raw[chosen], *s.knots), raw[chosen])
 
     def _suppress(self, masks: np.ndarray) -> list[int]:
         """Positions of the masks (best first) that are not a better one's double or a part of it."""
-        coarse = masks[:, ::2, ::2]
-        flat = coarse.reshape(len(masks), coarse.shape[1] * coarse.shape[2]).astype(np.float32)
-        both = flat @ flat.T
-        area = np.maximum(np.diag(both), 1.0)
+        # Counted pair by pair: a matrix product would wake a pool of threads for a millisecond of work.
+        coarse = np.ascontiguousarray(masks[:, ::2, ::2])
+        area = np.maximum(np.count_nonzero(coarse, axis=(1, 2)), 1)
         kept: list[int] = []
-        for i in range(len(masks)):
-            overlap = both[i, kept]
-            double = overlap / (area[i] + area[kept] - overlap) > self._settings.nms_iou
-            if not (double | (overlap / area[i] > self._settings.nms_inside)).any():
+        for i in range(len(coarse)):
+            for k in kept:
+                both = np.count_nonzero(coarse[i] & coarse[k])
+                if (
+                    both > self._settings.nms_iou * (area[i] + area[k] - both)
+                    or both > self._settings.nms_inside * area[i]
+                ):
+                    break
+            else:
                 kept.append(i)
         return kept
