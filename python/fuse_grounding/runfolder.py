@@ -14,20 +14,26 @@ from fuse_grounding.planning.protocol import EvidenceMaps
 from fuse_grounding.record import StepEntry
 
 
-def prepare(folder: Path, force: bool = False) -> Path:
-    """Makes an empty folder to write into.
+def check(folder: Path, force: bool = False) -> None:
+    """Raises InputError unless `folder` is missing or empty; `force` also allows an earlier run.
 
-    Raises InputError for one that is not empty or cannot be written. `force` empties a folder that holds
-    an earlier run (an `episode.json`), never another one.
+    An earlier run is a folder with an `episode.json`.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"output directory {folder} is a file")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    if not force:
+        raise InputError(f"output directory {folder} exists and is not empty; choose another --out")
+    if not (folder / "episode.json").is_file():
+        raise InputError(f"output directory {folder} is not an earlier run; --force leaves it alone")
+
+
+def prepare(folder: Path, force: bool = False) -> Path:
+    """Makes an empty folder to write into, removing an earlier run under `force`. Raises InputError."""
     try:
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"output directory {folder} is a file")
+        check(folder, force)
         if folder.is_dir() and any(folder.iterdir()):
-            if not force:
-                raise InputError(f"output directory {folder} exists and is not empty; choose another --out")
-            if not (folder / "episode.json").is_file():
-                raise InputError(f"output directory {folder} is not an earlier run; --force leaves it alone")
             shutil.rmtree(folder)
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".probe"

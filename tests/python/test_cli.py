@@ -7,12 +7,20 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fuse_grounding._core import __version__
 from fuse_grounding.cli.app import execute
 from fuse_grounding.record import EpisodeRecord
+
+
+def without_timings(value: Any) -> Any:
+    if isinstance(value, dict):
+        kept = {k: v for k, v in value.items() if k != "timings" and not k.endswith("_seconds")}
+        return {k: without_timings(v) for k, v in kept.items()}
+    return [without_timings(v) for v in value] if isinstance(value, list) else value
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -111,6 +119,31 @@ def test_a_static_run_prints_its_record(capsys: pytest.CaptureFixture[str], tmp_
     assert 0 <= float(record.result.metrics["iou"] or 0) <= 1
     assert (out / "grounding.png").is_file()
     assert (out / "overview.png").is_file()
+
+
+def test_the_same_seed_gives_the_same_episode_twice(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    """Every real part: renderer, COLMAP, Gaussian map, segmenter, evidence, explicit planning."""
+    few = ["map.initial_iterations=40", "map.incremental_iterations=10", "budget.actions=2"]
+    records = []
+    for name in ("a", "b"):
+        out = tmp_path / name
+        settings = [argument for setting in few for argument in ("--set", setting)]
+        status, stdout, stderr = run(capsys, "run", "cut", "--seed", "7", *settings, "--out", str(out))
+        assert status == 0, stderr
+        assert "step  2" in stdout
+        assert "every decision is explicit" in stdout
+        records.append(EpisodeRecord.load(out / "episode.json"))
+        for file in ("overview.png", "grounding.png", "scene.ply", "steps/02/evidence.png"):
+            assert (out / file).is_file(), file
+    first, second = (without_timings(r.model_dump(mode="json")) for r in records)
+    assert first == second
+    assert (tmp_path / "a" / "scene.ply").read_bytes() == (tmp_path / "b" / "scene.ply").read_bytes()
+    steps = records[0].steps
+    assert [s.branch for s in steps] == ["explicit", "explicit", None]
+    assert {s.registration for s in steps} == {"colmap"}
+    assert steps[0].map is not None
+    assert steps[1].map is not None
+    assert (steps[0].map.views, steps[1].map.views) == (5, 6)
 
 
 def test_interrupting_leaves_a_readable_record_and_status_130(tmp_path: Path):

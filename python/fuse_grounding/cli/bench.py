@@ -54,7 +54,9 @@ def command(
         print_json([summary(name, rows) for name in names])
     else:
         console.print(f"\nresults     {out / RESULTS}")
-        Console().print(_table([summary(name, rows) for name in names]))
+        shown = Console()
+        shown.width = max(shown.width, 150)  # a log file is wide enough
+        shown.print(_table([summary(name, rows) for name in names]))
     if any(r["status"] != "ok" for r in rows):
         raise typer.Exit(1)
 

@@ -13,7 +13,7 @@ from fuse_grounding.benchmark.metrics import evaluate
 from fuse_grounding.cli.console import Narrator, print_json
 from fuse_grounding.config import Config
 from fuse_grounding.environment import TabletopEnvironment, make_episode
-from fuse_grounding.runfolder import RunFolder, prepare
+from fuse_grounding.runfolder import RunFolder, check, prepare
 
 
 def configure(path: Path | None, overrides: list[str], **choices: str | None) -> Config:
@@ -57,11 +57,13 @@ def command(
         knowledge__source=source,
         registration__backend=registration,
     )
+    out = out or next_folder(Path("runs"))
+    check(out, force)
     verb = knowledge.parse(query).verb
     agent = Agent(settings)
     episode = make_episode(verb, scene, seed, query=query)
     environment = TabletopEnvironment(episode)
-    folder = prepare(out or next_folder(Path("runs")), force)
+    folder = prepare(out, force)
     files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)
     narrator = Narrator(quiet=as_json)
     narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")
