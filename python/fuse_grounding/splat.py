@@ -64,10 +64,11 @@ class TrainerConfig:
     """Times the scene's extent: larger Gaussians are split, smaller ones cloned."""
     prune_opacity: float = 0.005
     """Gaussians less opaque are removed."""
-    prune_fraction: float = 0.1
-    """Times the scene's extent: larger Gaussians are removed once opacities have been reset."""
-    prune_radius: float = 20.0
-    """Gaussians with a larger radius on an image, pixels, are removed once opacities have been reset."""
+    prune_fraction: float = 1.0
+    """Times the scene's extent: larger Gaussians are removed once opacities have been reset. The original's
+    0.1 fits cameras spread as wide as the scene; on a ring around a table it removes walls and floor."""
+    prune_radius: float | None = None
+    """The same by radius on an image, pixels; None: never (in the original the test has no effect)."""
     opacity_reset_interval: int = 3000
     """Iterations between two resets of the opacities (supplement)."""
     opacity_reset_margin: int = 300

@@ -39,12 +39,14 @@ pub struct TrainerConfig {
     pub dense_fraction: f32,
     /// Gaussians less opaque are removed (original: 0.005).
     pub prune_opacity: f32,
-    /// Times the scene's extent: larger Gaussians are removed once opacities have been reset
-    /// (original: 0.1).
+    /// Times the scene's extent: larger Gaussians are removed once opacities have been reset. The
+    /// original's 0.1 fits cameras spread as wide as what they see; on a ring around a table it
+    /// takes away the walls and the floor, again and again.
     pub prune_fraction: f32,
     /// Gaussians with a larger radius on an image, pixels, are removed once opacities have been
-    /// reset (original: 20).
-    pub prune_radius: f32,
+    /// reset. `None`: none are, as in the original, which names 20 pixels but forgets the radii
+    /// just before it looks at them.
+    pub prune_radius: Option<f32>,
     /// Iterations between two resets of the opacities (supplement: 3000).
     pub opacity_reset_interval: u32,
     /// A reset that falls into the last so many iterations of a call waits for the next call: the
@@ -80,8 +82,8 @@ impl Default for TrainerConfig {
             densify_gradient: 2e-4,
             dense_fraction: 0.01,
             prune_opacity: 0.005,
-            prune_fraction: 0.1,
-            prune_radius: 20.0,
+            prune_fraction: 1.0,
+            prune_radius: None,
             opacity_reset_interval: 3000,
             opacity_reset_margin: 300,
             max_gaussians: 30_000,
@@ -108,7 +110,7 @@ impl TrainerConfig {
             ("densify_gradient", self.densify_gradient),
             ("dense_fraction", self.dense_fraction),
             ("prune_fraction", self.prune_fraction),
-            ("prune_radius", self.prune_radius),
+            ("prune_radius", self.prune_radius.unwrap_or(1.0)),
             ("extent", self.extent.unwrap_or(1.0)),
         ];
         let refuse = |name: &str, value: String, expected: &str| {

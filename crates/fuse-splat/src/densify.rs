@@ -36,22 +36,14 @@ pub(crate) fn densify(
     let largest = |p: &Patient, i: usize| p.parameters.rows::<3>(i, SCALE).into_iter().fold(f32::MIN, f32::max).exp();
     let mut keep = vec![true; before];
     let mut changes = Changes::default();
-    // The guard counts net growth: a clone adds one, a split adds two and removes one.
-    let mut room = config.max_gaussians.saturating_sub(before);
-    for (i, keep) in keep.iter_mut().enumerate() {
-        let Density { gradient, count, .. } = &patient.density;
-        let mean = if count[i] > 0.0 { gradient[i] / count[i] } else { 0.0 };
-        if mean < config.densify_gradient || room == 0 {
-            continue;
-        }
-        room -= 1;
+    for i in busiest(&patient.density, config.densify_gradient, config.max_gaussians.saturating_sub(before)) {
         if largest(patient, i) <= config.dense_fraction * extent {
             patient.clone_one(i);
             changes.cloned += 1;
         } else {
             patient.split_one(i, normals(rng));
             patient.split_one(i, normals(rng));
-            *keep = false;
+            keep[i] = false;
             changes.split += 1;
         }
     }
@@ -59,16 +51,33 @@ pub(crate) fn densify(
     let transparent = logit(config.prune_opacity);
     for (i, keep) in keep.iter_mut().enumerate().filter(|(_, k)| **k) {
         let huge = large
-            && (patient.density.radius[i] > config.prune_radius
+            && (config.prune_radius.is_some_and(|limit| patient.density.radius[i] > limit)
                 || largest(patient, i) > config.prune_fraction * extent);
         if patient.parameters.get(i, OPACITY) < transparent || huge {
             *keep = false;
             changes.pruned += 1;
         }
     }
+    if !keep.contains(&true) {
+        // A map is never emptied.
+        return Changes { pruned: 0, ..changes };
+    }
     patient.retain(&keep);
     patient.density = Density::zeros(patient.len());
     changes
+}
+
+/// Gaussians whose mean gradient reaches the threshold, in order; where there is less room than
+/// that (each adds one), those with the largest gradients.
+fn busiest(density: &Density, threshold: f32, room: usize) -> Vec<usize> {
+    let mean = |i: usize| if density.count[i] > 0.0 { density.gradient[i] / density.count[i] } else { 0.0 };
+    let mut busy: Vec<usize> = (0..density.count.len()).filter(|&i| mean(i) >= threshold).collect();
+    if busy.len() > room {
+        busy.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
+        busy.truncate(room);
+        busy.sort_unstable();
+    }
+    busy
 }
 
 /// Three standard normal numbers (Box and Muller).
@@ -119,9 +128,23 @@ mod tests {
     #[test]
     fn large_ones_go_only_after_a_reset_and_the_guard_holds() {
         let (mut p, mut rng) = (patient(), ChaCha8Rng::seed_from_u64(1));
-        let config = TrainerConfig { max_gaussians: 5, ..TrainerConfig::default() };
+        p.density.gradient[1] = 4e-3;
+        let config = TrainerConfig {
+            max_gaussians: 5,
+            prune_fraction: 0.1,
+            prune_radius: Some(20.0),
+            ..TrainerConfig::default()
+        };
         let changes = densify(&mut p, &config, 1.0, true, &mut rng);
-        assert_eq!((changes.cloned, changes.split), (1, 0), "room for one more");
-        assert_eq!(changes.pruned, 3, "two larger than a tenth of the extent, one transparent");
+        assert_eq!((changes.cloned, changes.split), (0, 1), "room for one more, the busiest");
+        assert_eq!(changes.pruned, 4, "three larger than a tenth of the extent, one transparent");
+        assert_eq!(p.len(), 1);
+
+        // Nothing would be left: nothing is removed.
+        let mut p = patient();
+        p.density.radius[0] = 21.0;
+        p.density.gradient.fill(0.0);
+        assert_eq!(densify(&mut p, &config, 1.0, true, &mut rng), Changes::default());
+        assert_eq!(p.len(), 4);
     }
 }
