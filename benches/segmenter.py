@@ -2,9 +2,11 @@
 
 For every object in sight with at least 500 visible pixels: the best mask that is returned when its label
 is prompted (IoU, 0 when none is), the first one, and whether the most likely label of its mask is right.
-By visible fraction, by size, by category; false positives, calibration, milliseconds a picture.
+By visible fraction, by size, by category, and (any visibility) in the shipped development episodes;
+false positives, calibration, milliseconds a picture.
 
-    python benches/segmenter.py [--pictures 192] [--seed 2000000] [--threads 2] [--weights F.onnx] [--json]
+    python benches/segmenter.py [--pictures 192] [--episode-pictures 60] [--seed 2000000] [--threads 2]
+                                [--weights F.onnx] [--json]
 
 Evaluation objects take no part.
 """
@@ -20,6 +22,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fuse_grounding import _core
+from fuse_grounding.environment import TabletopEnvironment, load_episodes
 from fuse_grounding.perception.embedded import EmbeddedSegmenter
 from fuse_grounding.training.segmenter_data import Picture
 from fuse_grounding.training.segmenter_score import Found, Score, evaluate
@@ -34,6 +37,26 @@ def rendered(count: int, seed: int) -> Iterator[Picture]:
     for shard in range((count + SHARD - 1) // SHARD):
         size = min(SHARD, count - shard * SHARD)
         yield from _core.randomized_pictures(seed + shard, size, split="dev", amodal=True)
+
+
+def from_episodes(limit: int) -> Iterator[Picture]:
+    """The shipped development episodes: six ring nodes of each, pitches of 30° and 45°, any visibility."""
+    views = [(k % 6 + 6 * i, pitch) for k in range(6) for i in range(6) for pitch in (1, 2)]
+    done = 0
+    for k, episode in enumerate(load_episodes("dev")):
+        environment = TabletopEnvironment(episode)
+        for node, pitch in views[12 * (k % 6) : 12 * (k % 6) + 12]:
+            if done == limit:
+                return
+            seen = environment.render_at(node, pitch)
+            pixels = np.bincount(seen.instance.reshape(-1), minlength=256)
+            objects = [
+                {"id": i, "category": c, "visible_px": int(pixels[i]), "unoccluded_px": 0}
+                for i, c in episode.categories.items()
+                if pixels[i]
+            ]
+            yield seen.rgb, seen.instance, objects
+            done += 1
 
 
 def row(objects: list[Found]) -> dict[str, float | int]:
@@ -85,6 +108,7 @@ def main() -> None:
     )
     parser.add_argument("--pictures", type=int, default=192)
     parser.add_argument("--seed", type=int, default=2_000_000)
+    parser.add_argument("--episode-pictures", type=int, default=60)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--weights")
     parser.add_argument("--json", action="store_true")
@@ -92,10 +116,12 @@ def main() -> None:
     segmenter = EmbeddedSegmenter(arguments.weights, threads=arguments.threads)
     pictures = list(rendered(arguments.pictures, arguments.seed))
     score = evaluate(segmenter, pictures, MIN_SCORE)
+    episodes = evaluate(segmenter, from_episodes(arguments.episode_pictures), MIN_SCORE)
     scores, right = np.array(score.scores), np.array(score.right)
     result = {
         "pictures": score.pictures,
-        "groups": groups(score, segmenter.labels),
+        "groups": groups(score, segmenter.labels)
+        | {"dev episodes": row([o for o in episodes.objects if o.pixels >= 500])},
         "wrong_share_at_0.5": float(1 - right[scores >= 0.5].mean()),
         "wrong_share_at_0.2": float(1 - right[scores >= 0.2].mean()),
         "expected_calibration_error": score.calibration_error(),
