@@ -3,6 +3,9 @@
 //! Each is inlined into a caller that is compiled for the level in use; `FMA` says whether that
 //! level has a fused multiply-add (without one, `mul_add` is a slow library call).
 
+// One index into many rows says best which pixels meet.
+#![allow(clippy::needless_range_loop)]
+
 use std::mem::MaybeUninit;
 
 use super::{CLIP_DB, Gradient};
