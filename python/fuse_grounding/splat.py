@@ -71,8 +71,9 @@ class TrainerConfig:
     """The same by radius on an image, pixels; None: never (in the original the test has no effect)."""
     opacity_reset_interval: int = 3000
     """Iterations between two resets of the opacities (supplement)."""
-    opacity_reset_margin: int = 300
-    """A reset within the last so many iterations of a call waits for the next call; ours."""
+    opacity_reset_margin: int = 1000
+    """A reset within the last so many iterations of a call waits for the next call, since the map takes that
+    long to heal: refinements of 400 iterations never reset, long trainings do; ours."""
     max_gaussians: int = 30_000
     """No Gaussians are added beyond this number, which keeps a refinement within seconds; ours."""
     extent: float | None = None

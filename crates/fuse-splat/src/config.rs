@@ -50,7 +50,8 @@ pub struct TrainerConfig {
     /// Iterations between two resets of the opacities (supplement: 3000).
     pub opacity_reset_interval: u32,
     /// A reset that falls into the last so many iterations of a call waits for the next call: the
-    /// map is looked at between calls, and a reset needs about 300 iterations to heal. 0: never.
+    /// map is looked at between calls, and after a reset it is worse for more than a thousand
+    /// iterations. Refinements of 400 iterations never reset; long trainings do. 0: never wait.
     pub opacity_reset_margin: u32,
     /// No Gaussians are added beyond this number, which keeps a refinement within seconds (ours).
     pub max_gaussians: usize,
@@ -85,7 +86,7 @@ impl Default for TrainerConfig {
             prune_fraction: 1.0,
             prune_radius: None,
             opacity_reset_interval: 3000,
-            opacity_reset_margin: 300,
+            opacity_reset_margin: 1000,
             max_gaussians: 30_000,
             extent: None,
             background: [0.0; 3],
