@@ -182,7 +182,7 @@ class MapConfig(Section):
     """Last iteration that may densify."""
     opacity_reset_interval: Count = 3000
     """Iterations between opacity resets."""
-    max_gaussians: Count = 30_000
+    max_gaussians: Count = 40_000
     """No Gaussians are added beyond this number: 400 iterations stay bearable on two cores. Ours."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Order of the views and places of split Gaussians. Ours."""

@@ -64,9 +64,9 @@ class TrainerConfig:
     """Times the scene's extent: larger Gaussians are split, smaller ones cloned."""
     prune_opacity: float = 0.005
     """Gaussians less opaque are removed."""
-    prune_fraction: float = 1.0
-    """Times the scene's extent: larger Gaussians are removed once opacities have been reset. The original's
-    0.1 fits cameras spread as wide as the scene; on a ring around a table it removes walls and floor."""
+    prune_fraction: float | None = None
+    """Times the scene's extent: larger Gaussians are removed once opacities have been reset; None: none are.
+    The original's 0.1 fits cameras spread as wide as the scene; here it removes walls and floor."""
     prune_radius: float | None = None
     """The same by radius on an image, pixels; None: never (in the original the test has no effect)."""
     opacity_reset_interval: int = 3000
@@ -74,7 +74,7 @@ class TrainerConfig:
     opacity_reset_margin: int = 1000
     """A reset within the last so many iterations of a call waits for the next call, since the map takes that
     long to heal: refinements of 400 iterations never reset, long trainings do; ours."""
-    max_gaussians: int = 30_000
+    max_gaussians: int = 40_000
     """No Gaussians are added beyond this number, which keeps a refinement within seconds; ours."""
     extent: float | None = None
     """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""

@@ -39,10 +39,10 @@ pub struct TrainerConfig {
     pub dense_fraction: f32,
     /// Gaussians less opaque are removed (original: 0.005).
     pub prune_opacity: f32,
-    /// Times the scene's extent: larger Gaussians are removed once opacities have been reset. The
-    /// original's 0.1 fits cameras spread as wide as what they see; on a ring around a table it
-    /// takes away the walls and the floor, again and again.
-    pub prune_fraction: f32,
+    /// Times the scene's extent: larger Gaussians are removed once opacities have been reset.
+    /// `None`: none are. The original's 0.1 fits cameras spread as wide as what they see; on a ring
+    /// around a table it takes away the walls and the floor, again and again.
+    pub prune_fraction: Option<f32>,
     /// Gaussians with a larger radius on an image, pixels, are removed once opacities have been
     /// reset. `None`: none are, as in the original, which names 20 pixels but forgets the radii
     /// just before it looks at them.
@@ -54,6 +54,8 @@ pub struct TrainerConfig {
     /// iterations. Refinements of 400 iterations never reset; long trainings do. 0: never wait.
     pub opacity_reset_margin: u32,
     /// No Gaussians are added beyond this number, which keeps a refinement within seconds (ours).
+    /// One densification takes at most a sixteenth of what is left, the busiest Gaussians first, so
+    /// that views that come later find room too.
     pub max_gaussians: usize,
     /// Extent of the scene, metres; `None`: 1.1 times the largest distance of a camera from the
     /// cameras' mean, as in the original.
@@ -83,11 +85,11 @@ impl Default for TrainerConfig {
             densify_gradient: 2e-4,
             dense_fraction: 0.01,
             prune_opacity: 0.005,
-            prune_fraction: 1.0,
+            prune_fraction: None,
             prune_radius: None,
             opacity_reset_interval: 3000,
             opacity_reset_margin: 1000,
-            max_gaussians: 30_000,
+            max_gaussians: 40_000,
             extent: None,
             background: [0.0; 3],
             seed: 0,
@@ -110,7 +112,7 @@ impl TrainerConfig {
             ("rotation_rate", self.rotation_rate),
             ("densify_gradient", self.densify_gradient),
             ("dense_fraction", self.dense_fraction),
-            ("prune_fraction", self.prune_fraction),
+            ("prune_fraction", self.prune_fraction.unwrap_or(1.0)),
             ("prune_radius", self.prune_radius.unwrap_or(1.0)),
             ("extent", self.extent.unwrap_or(1.0)),
         ];

@@ -13,6 +13,9 @@ use crate::gaussians::logit;
 use crate::stages::Density;
 use crate::surgery::Patient;
 
+/// One densification takes at most this part of the room below `max_gaussians`.
+const ROOM_SHARE: usize = 16;
+
 /// How the number of Gaussians changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changes {
@@ -36,7 +39,8 @@ pub(crate) fn densify(
     let largest = |p: &Patient, i: usize| p.parameters.rows::<3>(i, SCALE).into_iter().fold(f32::MIN, f32::max).exp();
     let mut keep = vec![true; before];
     let mut changes = Changes::default();
-    for i in busiest(&patient.density, config.densify_gradient, config.max_gaussians.saturating_sub(before)) {
+    let room = config.max_gaussians.saturating_sub(before).div_ceil(ROOM_SHARE);
+    for i in busiest(&patient.density, config.densify_gradient, room) {
         if largest(patient, i) <= config.dense_fraction * extent {
             patient.clone_one(i);
             changes.cloned += 1;
@@ -52,7 +56,7 @@ pub(crate) fn densify(
     for (i, keep) in keep.iter_mut().enumerate().filter(|(_, k)| **k) {
         let huge = large
             && (config.prune_radius.is_some_and(|limit| patient.density.radius[i] > limit)
-                || largest(patient, i) > config.prune_fraction * extent);
+                || config.prune_fraction.is_some_and(|limit| largest(patient, i) > limit * extent));
         if patient.parameters.get(i, OPACITY) < transparent || huge {
             *keep = false;
             changes.pruned += 1;
@@ -131,7 +135,7 @@ mod tests {
         p.density.gradient[1] = 4e-3;
         let config = TrainerConfig {
             max_gaussians: 5,
-            prune_fraction: 0.1,
+            prune_fraction: Some(0.1),
             prune_radius: Some(20.0),
             ..TrainerConfig::default()
         };
