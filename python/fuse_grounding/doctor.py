@@ -50,9 +50,7 @@ def _memory() -> Check:
 
 def _disk() -> Check:
     free = shutil.disk_usage(Path.cwd()).free / 2**30
-    return Check(
-        "free disk", free >= 1, f"{free:.1f} GiB here", "a run folder takes a few MB"
-    )
+    return Check("free disk", free >= 1, f"{free:.1f} GiB here", "a run folder takes a few MB")
 
 
 def examine() -> list[Check]:
