@@ -1,8 +1,12 @@
 """How well the Gaussian map predicts views that it has not seen.
 
 Per scene: 1000 iterations on the four seed views, then ten moves of a random walk with 400 iterations each.
-After every refinement the map is drawn at the twelve held-out viewpoints: of the ring's viewpoints one step
-(node or pitch) from the path and not on it, twelve evenly spaced in ring order.
+After every refinement the map is drawn at two sets of twelve held-out viewpoints that the path did not visit,
+evenly spaced in ring order:
+
+- ring: one node from a viewpoint of the path, at the same pitch;
+- tilt: one pitch step from a viewpoint of the path, at the same node. These look 15 degrees further up or
+  down, so that part of what they show was in no picture.
 
     python benches/map_quality.py                                   # both textured scenes, known poses
     python benches/map_quality.py --registration colmap --scenes train_workshop
@@ -49,12 +53,15 @@ def go(environment: TabletopEnvironment, start: Viewpoint, goal: Viewpoint) -> N
         node, pitch = (node + step) % NODES, pitch + tilt
 
 
-def held_out_places(path: list[Viewpoint]) -> list[Viewpoint]:
-    """Twelve viewpoints one step from the path and not on it, evenly spaced in ring order."""
-    near = {((n + d) % NODES, p) for n, p in path for d in (-1, 1)}
-    near |= {(n, p + d) for n, p in path for d in (-1, 1) if 0 <= p + d < PITCHES}
+def held_out_places(path: list[Viewpoint], kind: str) -> list[Viewpoint]:
+    """Twelve viewpoints next to the path and not on it, evenly spaced in ring order."""
+    if kind == "ring":
+        near = {((n + d) % NODES, p) for n, p in path for d in (-1, 1)}
+    else:
+        near = {(n, p + d) for n, p in path for d in (-1, 1) if 0 <= p + d < PITCHES}
     candidates = sorted(near - set(path))
-    return [candidates[i * len(candidates) // HELD_OUT] for i in range(min(HELD_OUT, len(candidates)))]
+    count = min(HELD_OUT, len(candidates))
+    return [candidates[i * len(candidates) // count] for i in range(count)]
 
 
 def walk(environment: TabletopEnvironment, moves: int, rng: np.random.Generator) -> Iterator[Observation]:
@@ -69,10 +76,10 @@ def walk(environment: TabletopEnvironment, moves: int, rng: np.random.Generator)
 class Judge:
     """The held-out views."""
 
-    def __init__(self, scene: str, seed: int, start: Viewpoint, path: list[Viewpoint]) -> None:
+    def __init__(self, kind: str, scene: str, seed: int, start: Viewpoint, path: list[Viewpoint]) -> None:
         environment, at = TabletopEnvironment(make_episode("cut", scene, seed)), start
         self.views: list[Observation] = []
-        for goal in held_out_places(path):
+        for goal in held_out_places(path, kind):
             go(environment, at, goal)
             self.views.append(environment.observe())
             at = goal
@@ -110,7 +117,8 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     start = place(environment.observe())
     seeds = list(environment.seed_observations())
     views = list(walk(environment, options.moves, np.random.default_rng(options.seed)))
-    judge = Judge(scene, options.seed, start, [place(v) for v in seeds + views])
+    path = [place(v) for v in seeds + views]
+    judge, tilted = (Judge(kind, scene, options.seed, start, path) for kind in ("ring", "tilt"))
     flat = judge.flat()
 
     registrar = ColmapRegistrar() if options.registration == "colmap" else PosedRegistrar()
@@ -121,7 +129,10 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     trainer = splat.Trainer(splat.Gaussians.from_points(xyz, rgb), config)
     for seed_view, registered in zip(seeds, registrar.views(), strict=True):
         trainer.add_view(seed_view.rgb, registered.camera)
-    print(f"{scene}: {len(xyz)} points from {len(seeds)} seeds; one flat colour {flat:.2f} dB")
+    print(
+        f"{scene}: {len(xyz)} points from {len(seeds)} seeds; "
+        f"one flat colour {flat:.2f} dB (tilted {tilted.flat():.2f})"
+    )
 
     lines = []
     for step in range(len(views) + 1):
@@ -140,11 +151,12 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
         begin = time.perf_counter()
         stats = trainer.refine(options.first if step == 0 else options.each)
         seconds = time.perf_counter() - begin
-        values = judge.mapped(trainer.gaussians)
+        values, tilts = judge.mapped(trainer.gaussians), tilted.mapped(trainer.gaussians)
         line = {
             "step": step,
             "psnr": float(np.mean(values)),
             "psnr_worst": min(values),
+            "psnr_tilt": float(np.mean(tilts)),
             "gaussians": stats.gaussians,
             "seconds": seconds,
             "stage_seconds": stats.stage_seconds,
@@ -152,6 +164,7 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
         lines.append(line)
         print(
             f"  {step:2d}: held out {line['psnr']:.2f} dB (worst {line['psnr_worst']:.2f}), "
+            f"tilted {line['psnr_tilt']:.2f} dB, "
             f"loss {stats.loss:.4f}, {stats.gaussians} Gaussians, {seconds:.1f} s",
             flush=True,
         )

@@ -19,13 +19,14 @@ import numpy as np
 
 import fuse_grounding as fuse
 from fuse_grounding import evidence
+from fuse_grounding.environment import TabletopEnvironment, make_episode
 
 flat = np.zeros((480, 640, 3), np.uint8)
 assert np.allclose(evidence.geometric_uncertainty(flat, flat), 0.4), "a flat pair is worth 0 dB"
-env = fuse.make_environment(query="cut a piece of rope", seed=7)
-result = fuse.Agent(fuse.Config()).run(env, "cut a piece of rope", method="static")
-assert result.record["steps"], "the wheel runs an episode"
-print(f"{result.label} at node {result.node}, score {result.score:.2f}")
+episode = make_episode("cut", seed=7)
+result = fuse.Agent(fuse.Config(method="static")).run(TabletopEnvironment(episode), "cut a piece of rope")
+assert result.record.steps, "the wheel runs an episode"
+print(f"{result.label} at {result.viewpoint.node}, score {result.score}")
 PY
 "$work/env/bin/python" -c 'import importlib.util as u; assert u.find_spec("torch") is None, "torch must not be needed"'
 echo "wheel: $(basename "$wheel"), $(du -h "$wheel" | cut -f1)"

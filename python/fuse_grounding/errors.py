@@ -1,4 +1,4 @@
-"""Errors that FUSE raises. Both come from the compiled module, so that Rust and Python raise the same types."""
+"""Errors that FUSE raises: the compiled module's own types, so that Rust and Python raise the same."""
 
 from fuse_grounding._core import FuseError, InputError
 
