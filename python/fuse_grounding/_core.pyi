@@ -126,7 +126,7 @@ def render_models(
     camera: Camera,
     *,
     ids: Sequence[int] | None = None,
-    floor: float | None = 0.0,
+    floor: float | None = ...,
     background: Sequence[float] = ...,
     shadows: bool = True,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint32]]: ...
