@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from fuse_grounding._core import Camera
 
+from fuse_grounding._core import Camera
 from fuse_grounding.environment.protocol import Observation
 
 WIDTH, HEIGHT = 640, 480

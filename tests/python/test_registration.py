@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import tabletop_twin as twin
-from fuse_grounding._core import Camera
 
 import fuse_grounding
+from fuse_grounding._core import Camera
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.errors import InputError
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar, RegistrationError, features
