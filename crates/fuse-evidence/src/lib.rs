@@ -29,6 +29,7 @@ pub mod fusion;
 pub mod gate;
 pub mod grounding;
 pub mod patience;
+pub mod recycle;
 pub mod regions;
 pub mod semantic;
 pub mod ssnr;

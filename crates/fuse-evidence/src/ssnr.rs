@@ -21,6 +21,7 @@ mod rows;
 use fuse_camera::Buffer;
 
 use crate::error::{EvidenceError, finite, in_range};
+use crate::recycle;
 use crate::view::View;
 use band::{Band, Finish};
 use grey::{GreySource, UNITS};
@@ -196,7 +197,7 @@ fn bands(observed: View<'_, [u8; 3]>, rendered: impl GreySource, options: &SsnrO
     // The kernels count grey in whole units, so ε is what is scaled.
     let unit = UNITS / f64::from(options.gray_range);
     let band = Band { width, height, epsilon: (EPSILON * unit * unit) as f32, gradient: options.gradient, finish };
-    let mut data: Vec<f32> = Vec::with_capacity(width * height);
+    let mut data = recycle::take(width * height);
     let mut parts = data.spare_capacity_mut()[..width * height].chunks_mut(rows_per_band(height) * width);
     rayon::in_place_scope(|scope| {
         // This thread takes the first band, which saves it from waiting for another to wake.

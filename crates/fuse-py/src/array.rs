@@ -1,6 +1,7 @@
 //! NumPy in: checked for shape, dtype and finiteness, borrowed without a copy where contiguous.
 //! NumPy out: the Rust vector becomes the array's memory.
 
+use fuse_evidence::recycle;
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
     Element, IntoPyArray, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
@@ -69,6 +70,29 @@ pub fn into_2d<T: Element>(py: Python<'_>, data: Vec<T>, width: u32, height: u32
     let array = Array2::from_shape_vec((height as usize, width as usize), data)
         .map_err(|e| input(format!("internal image size mismatch: {e}")))?;
     Ok(array.into_pyarray(py))
+}
+
+/// Memory of an array that goes back to `fuse_evidence::recycle` with the array.
+#[pyclass(frozen, module = "fuse_grounding._core")]
+struct Lent {
+    data: Array2<f32>,
+}
+
+impl Drop for Lent {
+    fn drop(&mut self) {
+        recycle::give(std::mem::take(&mut self.data).into_raw_vec_and_offset().0);
+    }
+}
+
+/// As [`into_2d`]; the memory is used again once the array, and every view of it, is gone.
+pub fn lend_2d(py: Python<'_>, data: Vec<f32>, width: u32, height: u32) -> PyResult<Bound<'_, PyArray2<f32>>> {
+    let data = Array2::from_shape_vec((height as usize, width as usize), data)
+        .map_err(|e| input(format!("internal image size mismatch: {e}")))?;
+    let owner = Bound::new(py, Lent { data })?;
+    let data = &owner.get().data;
+    // SAFETY: the array keeps its owner alive, which is frozen: the memory neither moves nor is
+    // reached in another way while the array lives.
+    Ok(unsafe { PyArray2::borrow_from_array(data, owner.clone().into_any()) })
 }
 
 /// A row-major `(height, width, channels)` vector as a NumPy array, without a copy.

@@ -59,7 +59,7 @@ fn checked<T>(result: Result<T, EvidenceError>) -> PyResult<T> {
 
 fn map<'py>(py: Python<'py>, buffer: Buffer<f32>) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let (width, height) = (buffer.width(), buffer.height());
-    array::into_2d(py, buffer.into_vec(), width, height)
+    array::lend_2d(py, buffer.into_vec(), width, height)
 }
 
 /// A rendering as it came: bytes or floats.
