@@ -5,8 +5,9 @@ Two twins compute the same map in float32, as one would write them with care for
 - `numpy`:  OpenCV for grey, gradients and window sums, NumPy for the arithmetic between;
 - `opencv`: OpenCV throughout, in place where it can be.
 
-Calls take turns, so that a busy machine slows all of them alike; minimum and median over the
-repeats are reported. Ratios are a twin's time over ours: above 1 we are faster. The twins make a
+Functions take turns in bursts of ten calls, so that a busy machine slows all of them alike and none
+pays for waking threads that slept through the others' turns; minimum and median over the calls are
+reported. Ratios are a twin's time over ours: above 1 we are faster. The twins make a
 dozen temporary images a call. In a fresh process the allocator hands them back to the system each
 time; in one that has freed a large array before (`warm heap`) it keeps them, which spares the
 twins most of their page faults. Both are measured.
@@ -14,7 +15,7 @@ twins most of their page faults. Both are measured.
     python benches/evidence.py [--repeats 300] [--json]
 
 With --check: exit status 1 when the ratio of minima to the NumPy twin is below 10 on two threads
-in a fresh process; on a busy machine it is.
+in a fresh process, as it can be on a busy machine.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ WIDTH, HEIGHT = 640, 480
 THREADS = (1, 2)
 TWINS = ("numpy", "opencv")
 GOAL = 10.0
+BURST = 10
 
 
 def numpy_twin(observed, rendered):
@@ -126,11 +128,12 @@ def measure(threads: int, repeats: int, warm: bool) -> dict[str, list[float]]:
         if difference > 2e-4:
             raise SystemExit(f"{name} computes something else: differs by {difference}")
     times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
+    for _ in range(-(-repeats // BURST)):
         for name, call in calls.items():
-            start = time.perf_counter()
-            call()
-            times[name].append(1e3 * (time.perf_counter() - start))
+            for _ in range(BURST):
+                start = time.perf_counter()
+                call()
+                times[name].append(1e3 * (time.perf_counter() - start))
     return {name: [min(t), statistics.median(t)] for name, t in times.items()}
 
 
