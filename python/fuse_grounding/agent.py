@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fuse_grounding import evidence, grounding, intake, ledger
+from fuse_grounding.arguments import instance_of, whole
 from fuse_grounding.config import Config
 from fuse_grounding.environment.blind import Blind
 from fuse_grounding.environment.protocol import Environment, Observation
@@ -113,9 +114,11 @@ class Session:
     ):
         self._began, self.clock = time.perf_counter(), Stopwatch()
         self._config, self._parts, self._watchers = config, parts, watchers
-        self._node, self._pitch_index = position
-        if not 0 <= self._pitch_index < len(config.camera.pitches_deg):
-            raise InputError(f"pitch_index must be 0, 1 or 2, found {self._pitch_index}")
+        node, pitch_index = position
+        self._node = None if node is None else whole("node", node, 0, config.camera.nodes - 1)
+        self._pitch_index = whole("pitch_index", pitch_index, 0, len(config.camera.pitches_deg) - 1)
+        instance_of("query", query, str)
+        whole("episode_index", episode_index)
         self.query = parts.understand(query)
         self.hypotheses = parts.knowledge.hypotheses(self.query, parts.segmenter.labels, world)
         self.policy = parts.policy(episode_index)
@@ -230,19 +233,23 @@ class Session:
                 f"this method needs {len(self.seed_requests)} more seed views before the first step "
                 "(Session.seed_requests, Session.add_seed)"
             )
-        canonical = self.policy.start == "canonical"
-        if not canonical:
-            self._node = self._node if node is None else node
-            self._pitch_index = self._pitch_index if pitch_index is None else pitch_index
-        place = (None, None) if canonical else (self._node, self._pitch_index)
-        seen = intake.take_in(self._config.camera, rgb, depth, pose, *place)
+        if self.policy.start == "canonical":
+            node, pitch_index = None, None
+        else:
+            node = self._node if node is None else node
+            pitch_index = self._pitch_index if pitch_index is None else pitch_index
+        seen = intake.take_in(self._config.camera, rgb, depth, pose, node, pitch_index)
+        feasible = None if mask is None else intake.action_mask(mask)
+        # All is sound: only now is it believed.
+        self._node = self._node if seen.node is None else seen.node
+        self._pitch_index = self._pitch_index if seen.pitch_index is None else seen.pitch_index
         if seen.depth is None:
             self.announce("no depth: the depth term of the score is off, and the object is not located")
         elif seen.camera is None and self.spatial is None:
             self.announce("no pose: the object is not located in the world")
-        if mask is None:
-            return seen, intake.pitch_mask(self._pitch_index, len(self._config.camera.pitches_deg))
-        return seen, intake.action_mask(mask)
+        if feasible is None:
+            feasible = intake.pitch_mask(self._pitch_index, len(self._config.camera.pitches_deg))
+        return seen, feasible
 
     def _register(self, seen: Observation) -> RegisteredView | None:
         """Adds the view to reconstruction and map; None for methods with neither."""

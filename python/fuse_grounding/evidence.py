@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuse_grounding import _core
 from fuse_grounding._core import Patience
+from fuse_grounding.arguments import whole
 from fuse_grounding.errors import InputError
 
 __all__ = [
@@ -120,7 +121,7 @@ def regions(height: int, width: int, *, coupled: Coupled = "union") -> NDArray[n
     quadrant; under "mean" the scores of two halves are averaged, and their union is drawn. Of an
     odd size, the middle belongs to the right and lower half.
     """
-    return _core.action_regions(_size("height", height), _size("width", width), coupled)
+    return _core.action_regions(whole("height", height), whole("width", width), coupled)
 
 
 def action_scores(
@@ -174,7 +175,7 @@ def depth_proximity(
     `mask`: (H, W) bool. 0 when no valid depth is left, or for a region of fewer than `min_pixels`
     pixels, which is not a valid candidate.
     """
-    return _core.depth_proximity(depth, mask, near, far, _size("min_pixels", min_pixels))
+    return _core.depth_proximity(depth, mask, near, far, whole("min_pixels", min_pixels))
 
 
 def grounding_score(
@@ -190,7 +191,7 @@ def grounding_score(
     `score` s and `proximity` d are in [0, 1]; without a depth picture (None) the depth term is off.
     """
     return _core.grounding_score(
-        score, proximity, _size("pixels", pixels), weights, _size("min_pixels", min_pixels)
+        score, proximity, whole("pixels", pixels), weights, whole("min_pixels", min_pixels)
     )
 
 
@@ -214,10 +215,3 @@ def _flags(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.bool_]]:
             f"{name} must be a list of booleans, found {array.dtype} array of shape {array.shape}"
         )
     return np.ascontiguousarray(array)
-
-
-def _size(name: str, value: int) -> int:
-    """A count that the native code can take."""
-    if not 0 <= value < 2**31:
-        raise InputError(f"{name} must be from 0 to {2**31 - 1}, found {value}")
-    return int(value)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fuse_grounding._core import Camera
+from fuse_grounding.arguments import whole
 from fuse_grounding.config import CameraConfig
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.errors import InputError
@@ -25,7 +26,8 @@ def take_in(
 
     `rgb` (H, W, 3) uint8; `depth` (H, W) float metres or None, where unknown values may be 0,
     NaN or infinite; `pose` a Camera, or a (4, 4) world-to-camera matrix that goes with the configured
-    intrinsics, or None. Raises InputError naming the argument, what was found and what was expected.
+    intrinsics, or None; `node` and `pitch_index` a place on the ring, or None. Raises InputError naming
+    the argument, what was found and what was expected.
     """
     height, width = config.height, config.width
     if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8 or rgb.shape != (height, width, 3):
@@ -34,8 +36,10 @@ def take_in(
         rgb=np.ascontiguousarray(rgb),
         depth=None if depth is None else _depth(depth, height, width),
         camera=None if pose is None else _camera(pose, config),
-        node=node,
-        pitch_index=pitch_index,
+        node=None if node is None else whole("node", node, 0, config.nodes - 1),
+        pitch_index=None
+        if pitch_index is None
+        else whole("pitch_index", pitch_index, 0, len(config.pitches_deg) - 1),
     )
 
 
@@ -76,7 +80,7 @@ def _camera(pose: Any, config: CameraConfig) -> Camera:
                 f"expected {config.width}x{config.height}"
             )
         return pose
-    matrix = np.asarray(pose, dtype=np.float64) if isinstance(pose, (np.ndarray, list, tuple)) else None
+    matrix = _real_matrix(pose)
     if matrix is None or matrix.shape != (4, 4) or not np.allclose(matrix[3], [0, 0, 0, 1]):
         raise InputError(
             f"pose must be a Camera or a (4, 4) world-to-camera matrix with last row 0 0 0 1, "
@@ -93,6 +97,15 @@ def _camera(pose: Any, config: CameraConfig) -> Camera:
         np.ascontiguousarray(matrix[:3, :3]),
         np.ascontiguousarray(matrix[:3, 3]),
     )
+
+
+def _real_matrix(pose: Any) -> np.ndarray | None:
+    """float64, or None for what is no array of real numbers."""
+    try:
+        array = np.asarray(pose)
+    except ValueError:  # rows of several lengths
+        return None
+    return array.astype(np.float64) if array.dtype.kind in "fiu" else None
 
 
 def _describe(value: Any) -> str:

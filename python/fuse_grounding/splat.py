@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuse_grounding import _core
 from fuse_grounding._core import Camera
+from fuse_grounding.arguments import instance_of, whole
 from fuse_grounding.errors import InputError
 
 __all__ = ["Gaussians", "RefineStats", "Trainer", "TrainerConfig", "psnr", "render"]
@@ -174,10 +175,12 @@ def render(
     RGB in [0, 1], default black.
     """
     _check_device(device)
-    rgb = tuple(float(v) for v in (background if background is not None else (0.0, 0.0, 0.0)))
-    if len(rgb) != 3:
-        raise InputError(f"background must be three numbers in [0, 1], found {len(rgb)}")
-    return _core.render_gaussians(gaussians._inner, camera, rgb)
+    instance_of("gaussians", gaussians, Gaussians)
+    instance_of("camera", camera, Camera)
+    rgb = np.asarray((0.0, 0.0, 0.0) if background is None else background)
+    if rgb.shape != (3,) or rgb.dtype.kind not in "fiu":
+        raise InputError(f"background must be three numbers in [0, 1], found {background!r}")
+    return _core.render_gaussians(gaussians._inner, camera, tuple(rgb.tolist()))
 
 
 class Trainer:
@@ -189,16 +192,20 @@ class Trainer:
 
     def __init__(self, gaussians: Gaussians, config: TrainerConfig | None = None, device: str = "cpu"):
         _check_device(device)
+        instance_of("gaussians", gaussians, Gaussians)
         self.config = config if config is not None else TrainerConfig()
+        instance_of("config", self.config, TrainerConfig)
         self._inner = _core.SplatTrainer(gaussians._inner, asdict(self.config))
 
     def add_view(self, image: NDArray[np.uint8], camera: Camera) -> int:
         """Adds an (H, W, 3) uint8 image with its camera; returns the view's index."""
+        instance_of("camera", camera, Camera)
         return self._inner.add_view(image, camera)
 
     def set_camera(self, index: int, camera: Camera) -> None:
         """Replaces a view's camera, after a bundle adjustment for example."""
-        self._inner.set_camera(_count("index", index), camera)
+        instance_of("camera", camera, Camera)
+        self._inner.set_camera(whole("index", index), camera)
 
     def add_points(self, xyz: ArrayLike, rgb: ArrayLike) -> int:
         """Adds Gaussians at newly found points; returns how many (`max_gaussians` limits them)."""
@@ -206,7 +213,7 @@ class Trainer:
 
     def refine(self, iterations: int) -> RefineStats:
         """Runs more iterations over all views; every view comes once before any comes again."""
-        stats: dict[str, Any] = self._inner.refine(_count("iterations", iterations))
+        stats: dict[str, Any] = self._inner.refine(whole("iterations", iterations))
         return RefineStats(**stats)
 
     @property
@@ -237,12 +244,6 @@ def _image(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     if array.dtype.kind != "f":
         raise InputError(f"{name} must be a (H, W, 3) uint8 or float array, found {array.dtype}")
     return np.ascontiguousarray(array, dtype=np.float32)
-
-
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**31:
-        raise InputError(f"{name} must be a whole number from 0 on, found {value!r}")
-    return int(value)
 
 
 def _check_device(device: str) -> None:

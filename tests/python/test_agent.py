@@ -351,7 +351,7 @@ def test_output_folders_are_never_overwritten_by_accident(tmp_path: Path):
 
 def test_sessions_start_only_at_real_pitches():
     kit = Kit("static", lambda node, pitch: 0.5)
-    with pytest.raises(InputError, match="pitch_index must be 0, 1 or 2, found 3"):
+    with pytest.raises(InputError, match="pitch_index must be a whole number from 0 to 2, found 3"):
         Agent(kit.config, kit.parts).start("cut", pitch_index=3)
 
 

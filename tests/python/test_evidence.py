@@ -335,7 +335,8 @@ BAD = [
     (lambda: evidence.depth_proximity(MAP, MASKS[0], near=2),
      "far must be finite and greater than near, found 1.2"),
     (lambda: evidence.grounding_score(np.nan, 0.1, 900), "score must be in [0, 1], found NaN"),
-    (lambda: evidence.grounding_score(0.1, 0.1, -1), "pixels must be from 0 to 2147483647, found -1"),
+    (lambda: evidence.grounding_score(0.1, 0.1, -1),
+     "pixels must be a whole number from 0 to 2147483647, found -1"),
     (lambda: evidence.Patience(0), "k must be at least 1, found 0"),
     (lambda: evidence.Patience().observe(np.nan), "score must be finite, found NaN"),
 ]  # fmt: skip

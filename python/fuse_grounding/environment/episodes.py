@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding._core import Stage, read_episodes, write_episodes
+from fuse_grounding.arguments import instance_of, whole
 from fuse_grounding.errors import InputError
 
 DATA = Path(__file__).parent.parent / "data"
@@ -109,9 +110,10 @@ def make_episode(verb: str, scene: str | None = None, seed: int = 0, *, query: s
     `scene` defaults to dev_kitchen; `query` to the first phrase that asks for the verb. Objects are
     those of the scene's split. Raises InputError for an unknown scene or verb.
     """
-    if not 0 <= seed < 2**53:
-        raise InputError(f"seed must be at least 0 and below 2^53, found {seed}")
+    seed = whole("seed", seed, 0, 2**53 - 1)
     scene = DEFAULT_SCENE if scene is None else scene
+    instance_of("verb", verb, str)
+    instance_of("scene", scene, str)
     words = query or next(iter(_queries().get(verb, ())), verb)
     text, _ = stage().make_episode(_validity(), scene, verb, words, seed, f"{scene}_{verb}_{seed}")
     return Episode(text)

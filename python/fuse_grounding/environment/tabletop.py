@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuse_grounding._core import Camera, World, action_mask, apply_action, seed_viewpoints
+from fuse_grounding.arguments import whole
 from fuse_grounding.environment.episodes import Episode, stage
 from fuse_grounding.environment.protocol import Observation
 
@@ -59,12 +60,12 @@ class TabletopEnvironment:
 
     def render_at(self, node: int, pitch_index: int) -> Observation:
         """The view from any viewpoint. Raises InputError for one that does not exist."""
-        camera = self._world.camera(node, pitch_index)
+        camera = self.camera_at(node, pitch_index)
         return Observation(*self._world.render(node, pitch_index), camera, node, pitch_index)
 
     def camera_at(self, node: int, pitch_index: int) -> Camera:
         """The camera of any viewpoint. Raises InputError for one that does not exist."""
-        return self._world.camera(node, pitch_index)
+        return self._world.camera(whole("node", node), whole("pitch_index", pitch_index))
 
     def canonical_observation(self) -> Observation:
         """The view straight down on the middle of the scene; it has no place on the ring."""
@@ -77,7 +78,7 @@ class TabletopEnvironment:
 
     def act(self, action: int) -> None:
         """Moves the camera. Raises InputError for an action that is masked or out of range."""
-        self._viewpoint = apply_action(*self._viewpoint, action)
+        self._viewpoint = apply_action(*self._viewpoint, whole("action", action))
 
     def seed_observations(self) -> Sequence[Observation]:
         """The views from one and two nodes to either side of here, 30 degrees down."""

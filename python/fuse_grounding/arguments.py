@@ -1,0 +1,29 @@
+"""Checks of arguments that many public functions share; each names the argument, found and expected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fuse_grounding.errors import InputError
+
+LARGEST = 2**31 - 1
+"""What fits every integer of the native code."""
+
+
+def whole(name: str, value: Any, low: int = 0, high: int = LARGEST) -> int:
+    """A whole number from `low` to `high`, of Python or NumPy; a boolean is none. Raises InputError."""
+    if (
+        isinstance(value, (bool, np.bool_))
+        or not isinstance(value, (int, np.integer))
+        or not low <= value <= high
+    ):
+        raise InputError(f"{name} must be a whole number from {low} to {high}, found {value!r}")
+    return int(value)
+
+
+def instance_of(name: str, value: Any, kind: type) -> None:
+    """Raises InputError unless `value` is a `kind`."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} must be a {kind.__name__}, found {type(value).__name__}")
