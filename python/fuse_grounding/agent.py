@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fuse_grounding import evidence, grounding, intake, ledger
-from fuse_grounding.arguments import instance_of, whole
+from fuse_grounding.arguments import whole
 from fuse_grounding.config import Config
 from fuse_grounding.environment.blind import Blind
 from fuse_grounding.environment.protocol import Environment, Observation
@@ -38,7 +38,10 @@ class SeedRequest:
 
 
 class Agent:
-    """Finds the object that serves a functional query by moving a camera."""
+    """Finds the object that serves a functional query by moving a camera.
+
+    `config` is the one it runs by; `provenance` the versions and weights that its records name.
+    """
 
     def __init__(self, config: Config | None = None, parts: Parts | None = None):
         """`parts` are assembled from the configuration unless given. Raises InputError."""
@@ -47,7 +50,7 @@ class Agent:
             from fuse_grounding.assembly import assemble  # brings in the network and COLMAP
 
             parts, config = assemble(config)
-        self.config, self._parts = config, parts
+        self.config, self._parts, self.provenance = config, parts, parts.provenance
 
     @property
     def segmenter(self) -> Segmenter:
@@ -117,7 +120,6 @@ class Session:
         node, pitch_index = position
         self._node = None if node is None else whole("node", node, 0, config.camera.nodes - 1)
         self._pitch_index = whole("pitch_index", pitch_index, 0, len(config.camera.pitches_deg) - 1)
-        instance_of("query", query, str)
         whole("episode_index", episode_index)
         self.query = parts.understand(query)
         self.hypotheses = parts.knowledge.hypotheses(self.query, parts.segmenter.labels, world)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from fuse_grounding.agent import Agent
 from fuse_grounding.benchmark.metrics import evaluate
 from fuse_grounding.benchmark.store import ResultStore
-from fuse_grounding.config import Config
 from fuse_grounding.environment import TabletopEnvironment
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.grounding import Grounded
@@ -18,17 +17,14 @@ Row = dict[str, Any]
 
 
 def run_benchmark(
-    episodes: Sequence[Any],
-    methods: Sequence[str],
-    config: Config,
-    store: ResultStore,
-    tell: Callable[[Row], None],
+    episodes: Sequence[Any], agents: Mapping[str, Agent], store: ResultStore, tell: Callable[[Row], None]
 ) -> None:
     """One row for each episode and method that the store does not have; `tell` hears each new one.
 
+    `agents` are the methods' by name.
+
     An episode that fails becomes a row with `status` "failed"; wrong input stops the benchmark.
     """
-    agents = {name: Agent(config.with_(method=name)) for name in methods}
     for index, episode in enumerate(episodes):
         for name, agent in agents.items():
             if not store.done(name, episode.episode_id):

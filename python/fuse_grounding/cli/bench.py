@@ -10,6 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from fuse_grounding.agent import Agent
+from fuse_grounding.benchmark.identity import identity
 from fuse_grounding.benchmark.methods import METHODS
 from fuse_grounding.benchmark.runner import run_benchmark
 from fuse_grounding.benchmark.store import RESULTS, ResultStore
@@ -39,16 +41,16 @@ def command(
         raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
     settings = configure(config, overrides or [])
     chosen = load_episodes(episodes)[:limit]
-    # The methods are not in the header: a resumed benchmark may add some.
-    header = {"episodes": [e.episode_id for e in chosen], "config": settings.to_dict()}
-    store = ResultStore(out, header, resume)
+    agents = {name: Agent(settings.with_(method=name)) for name in names}
+    provenance = agents[names[0]].provenance
+    store = ResultStore(out, identity(settings, chosen, provenance), provenance, resume)
     console = Console(quiet=as_json, soft_wrap=True, highlight=False, markup=False)
     total = len(chosen) * len(names)
 
     def tell(row: Row) -> None:
         console.print(f"{len(store.rows):4d}/{total}  {_line(row)}")
 
-    run_benchmark(chosen, names, settings, store, tell)
+    run_benchmark(chosen, agents, store, tell)
     rows = [r for r in store.rows if r["method"] in names]
     if as_json:
         print_json([summary(name, rows) for name in names])

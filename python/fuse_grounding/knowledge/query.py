@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 
+from fuse_grounding.arguments import instance_of
 from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.affordances import Affordances
 from fuse_grounding.knowledge.protocol import Query
@@ -55,6 +56,7 @@ def _find(words: list[frozenset[str]], phrase: list[str]) -> int | None:
 
 def understand(text: str, graph: Affordances) -> Query:
     """The verb of a query. Raises InputError listing what is known when it is unknown or ambiguous."""
+    instance_of("query", text, str)
     words = [base_forms(w) for w in _content(text)]
     matches: list[tuple[int, int, str, str]] = []
     for verb in graph.verbs.values():
