@@ -1,12 +1,18 @@
-"""Checks of arguments that many public functions share; each names the argument, found and expected."""
+"""Bounds of settings, and checks of arguments that name the argument, what was found and expected."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from fuse_grounding.errors import InputError
+
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+Natural = Annotated[int, Field(ge=0)]
 
 LARGEST = 2**31 - 1
 """What fits every integer of the native code."""

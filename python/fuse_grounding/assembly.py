@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from fuse_grounding import knowledge
+from fuse_grounding import knowledge, mapping
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
 from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
@@ -44,7 +44,10 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     method, config = resolve(config)
     source = knowledge.make(config.knowledge)
     make_segmenter = SEGMENTERS.get(config.segmenter.name)
-    method.policy(config, 0)  # a method that cannot run says so before anything is loaded
+    # What cannot run says so before anything is loaded.
+    method.policy(config, 0)
+    if method.maps:
+        mapping.check(config.map)
     segmenter, weights = make_segmenter(config.segmenter)
 
     def spatial() -> Spatial | None:

@@ -14,16 +14,14 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from fuse_grounding.arguments import Count, Fraction, Natural, Positive
 from fuse_grounding.errors import InputError
+from fuse_grounding.splat import TrainerConfig
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-Positive = Annotated[float, Field(gt=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class Section(BaseModel):
@@ -56,7 +54,7 @@ class CameraConfig(Section):
 class BudgetConfig(Section):
     """How long an episode may last."""
 
-    actions: Annotated[int, Field(ge=0)] = 30
+    actions: Natural = 30
     """Online actions T; one more observation is scored. Paper, "Implementation Details"."""
 
 
@@ -142,50 +140,15 @@ class RegistrationConfig(Section):
     """A view that COLMAP cannot place: its known pose, recorded as such, or an error. Ours."""
 
 
-class MapConfig(Section):
-    """3D Gaussian splatting. Supplement, "3D Gaussian Splatting", unless said otherwise.
-
-    All but the first three are `splat.TrainerConfig`'s, under the same names.
-    """
+class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by `model_config`
+    """3D Gaussian splatting: `splat.TrainerConfig`'s settings, checked here, and when to optimise."""
 
     initial_iterations: Count = 1000
-    """Optimisation over the seed views."""
+    """Optimisation over the seed views. Supplement, "3D Gaussian Splatting"."""
     incremental_iterations: Count = 400
-    """Optimisation after each explicit-planning observation."""
+    """Optimisation after each explicit-planning observation. Supplement, "3D Gaussian Splatting"."""
     add_points: bool = True
     """Start new Gaussians at points that registration finds later. Ours."""
-    position_rate: Positive = 1.6e-4
-    """Position rate at the start, in units of the scene's extent."""
-    position_rate_end: Positive = 1.6e-6
-    """Position rate at the end of its schedule."""
-    position_steps: Count = 30_000
-    """Iterations of that schedule. The official implementation's default."""
-    feature_rate: Positive = 2.5e-3
-    """Rate of the colours."""
-    opacity_rate: Positive = 2.5e-2
-    """Rate of the opacities."""
-    scale_rate: Positive = 5.0e-3
-    """Rate of the scales."""
-    rotation_rate: Positive = 1.0e-3
-    """Rate of the rotations."""
-    lambda_dssim: Fraction = 0.2
-    """Weight of D-SSIM in the loss. The official implementation's default."""
-    degree: Annotated[int, Field(ge=0, le=3)] = 3
-    """Degree of the spherical harmonics, raised step by step."""
-    degree_interval: Count = 1000
-    """Iterations after which the degree rises by one. The official implementation's default."""
-    densify_interval: Count = 100
-    """Iterations between densifications."""
-    densify_start: Annotated[int, Field(ge=0)] = 500
-    """First iteration that may densify."""
-    densify_end: Annotated[int, Field(ge=0)] = 15_000
-    """Last iteration that may densify."""
-    opacity_reset_interval: Count = 3000
-    """Iterations between opacity resets."""
-    max_gaussians: Count = 40_000
-    """No Gaussians are added beyond this number: 400 iterations stay bearable on two cores. Ours."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """Order of the views and places of split Gaussians. Ours."""
 
 
 class KnowledgeConfig(Section):
@@ -220,7 +183,7 @@ class MetricConfig(Section):
 class RandomConfig(Section):
     """The random baseline."""
 
-    seed: Annotated[int, Field(ge=0)] = 2
+    seed: Natural = 2
     """Base seed; the episode's index is added. Supplement, "Random Active"."""
 
 

@@ -26,10 +26,9 @@ class PointRegistrar(Registrar, Protocol):
         ...
 
 
-def trainer_config(config: MapConfig) -> splat.TrainerConfig:
-    """The trainer's part of the settings."""
-    ours = {"initial_iterations", "incremental_iterations", "add_points"}
-    return splat.TrainerConfig(**config.model_dump(exclude=ours))
+def check(config: MapConfig) -> None:
+    """Raises InputError for what only the native trainer refuses: its numbers are narrower than Python's."""
+    splat.Trainer(splat.Gaussians.from_points(np.zeros((1, 3)), np.zeros((1, 3))), config)
 
 
 class GaussianMap:
@@ -98,7 +97,7 @@ class GaussianMap:
         ids, points, colours = self._registrar.points_by_id()
         if len(points) < MIN_POINTS:
             return None
-        trainer = splat.Trainer(splat.Gaussians.from_points(points, colours), trainer_config(self._config))
+        trainer = splat.Trainer(splat.Gaussians.from_points(points, colours), self._config)
         self._known = set(ids.tolist())
         self._take(trainer, cameras)
         trainer.refine(self._config.initial_iterations)

@@ -16,14 +16,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from fuse_grounding import _core
 from fuse_grounding._core import Camera
-from fuse_grounding.arguments import instance_of, whole
+from fuse_grounding.arguments import Count, Fraction, Natural, Positive, instance_of, whole
 from fuse_grounding.errors import InputError
 
 __all__ = ["Gaussians", "RefineStats", "Trainer", "TrainerConfig", "psnr", "render"]
@@ -31,57 +32,60 @@ __all__ = ["Gaussians", "RefineStats", "Trainer", "TrainerConfig", "psnr", "rend
 
 @dataclass(frozen=True)
 class TrainerConfig:
-    """Settings of a `Trainer`: the supplement's ("3D Gaussian Splatting"), else the original's."""
+    """Settings of a `Trainer`: the supplement's ("3D Gaussian Splatting"), else the original's.
 
-    position_rate: float = 1.6e-4
+    The bounds are checked by `Trainer`, and by `config.MapConfig`, which takes these fields over.
+    """
+
+    position_rate: Positive = 1.6e-4
     """Position rate at the start, times the scene's extent (supplement)."""
-    position_rate_end: float = 1.6e-6
+    position_rate_end: Positive = 1.6e-6
     """Position rate at the end of its schedule (supplement)."""
-    position_steps: int = 30_000
+    position_steps: Count = 30_000
     """Iterations over which the position rate falls, log-linearly."""
-    feature_rate: float = 2.5e-3
+    feature_rate: Positive = 2.5e-3
     """Rate of the constant harmonic; the others have a twentieth (supplement)."""
-    opacity_rate: float = 2.5e-2
+    opacity_rate: Positive = 2.5e-2
     """Rate of the opacity's logit (supplement)."""
-    scale_rate: float = 5e-3
+    scale_rate: Positive = 5e-3
     """Rate of the scales' logarithm (supplement)."""
-    rotation_rate: float = 1e-3
+    rotation_rate: Positive = 1e-3
     """Rate of the quaternions (supplement)."""
-    lambda_dssim: float = 0.2
+    lambda_dssim: Fraction = 0.2
     """Weight of D-SSIM in the loss."""
-    degree: int = 3
+    degree: Annotated[int, Field(ge=0, le=3)] = 3
     """Highest degree of the spherical harmonics (supplement)."""
-    degree_interval: int = 1000
+    degree_interval: Count = 1000
     """Iterations after which the degree rises by one."""
-    densify_start: int = 500
+    densify_start: Natural = 500
     """Gaussians are cloned, split and removed only after this iteration (supplement)."""
-    densify_end: int = 15_000
+    densify_end: Natural = 15_000
     """And only before this one (supplement)."""
-    densify_interval: int = 100
+    densify_interval: Count = 100
     """Iterations between two densifications (supplement)."""
-    densify_gradient: float = 2e-4
+    densify_gradient: Positive = 2e-4
     """Mean gradient of the projected position from which a Gaussian is cloned or split."""
-    dense_fraction: float = 0.01
+    dense_fraction: Positive = 0.01
     """Times the scene's extent: larger Gaussians are split, smaller ones cloned."""
-    prune_opacity: float = 0.005
+    prune_opacity: Fraction = 0.005
     """Gaussians less opaque are removed."""
-    prune_fraction: float | None = None
+    prune_fraction: Positive | None = None
     """Times the scene's extent: larger Gaussians are removed once opacities have been reset; None: none are.
     The original's 0.1 fits cameras spread as wide as the scene; here it removes walls and floor."""
-    prune_radius: float | None = None
+    prune_radius: Positive | None = None
     """The same by radius on an image, pixels; None: never (in the original the test has no effect)."""
-    opacity_reset_interval: int = 3000
+    opacity_reset_interval: Count = 3000
     """Iterations between two resets of the opacities (supplement)."""
-    opacity_reset_margin: int = 1000
+    opacity_reset_margin: Natural = 1000
     """A reset within the last so many iterations of a call waits for the next call, since the map takes that
     long to heal: refinements of 400 iterations never reset, long trainings do; ours."""
-    max_gaussians: int = 40_000
+    max_gaussians: Natural = 40_000
     """No Gaussians are added beyond this number, which keeps a refinement within seconds; ours."""
-    extent: float | None = None
+    extent: Positive | None = None
     """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    background: tuple[Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0)
     """RGB behind everything, in [0, 1]."""
-    seed: int = 0
+    seed: Natural = 0
     """Order of the views and places of split Gaussians."""
 
 

@@ -1,15 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from agent_doubles import HEIGHT, WIDTH, camera
 
 from fuse_grounding import splat
 from fuse_grounding._core import Camera
-from fuse_grounding.config import MapConfig
+from fuse_grounding.agent import Agent
+from fuse_grounding.config import Config, MapConfig
 from fuse_grounding.environment.protocol import Observation
-from fuse_grounding.mapping import GaussianMap, trainer_config
+from fuse_grounding.errors import InputError
+from fuse_grounding.mapping import GaussianMap
 from fuse_grounding.record import Stopwatch
 from fuse_grounding.registration.protocol import RegisteredView
 
@@ -123,8 +128,38 @@ def test_too_few_points_leave_the_map_away_and_do_not_fail():
     assert entry.views == 5
 
 
-def test_every_training_setting_reaches_the_trainer():
-    config = MapConfig(feature_rate=0.5, densify_start=7, degree=1, seed=3)
-    trained = trainer_config(config)
-    assert (trained.feature_rate, trained.densify_start, trained.degree, trained.seed) == (0.5, 7, 1, 3)
-    assert trainer_config(MapConfig()) == splat.TrainerConfig()  # one set of defaults, not two
+def test_a_maps_settings_are_the_trainers_and_three_of_its_own():
+    assert asdict(MapConfig()) == asdict(splat.TrainerConfig())  # one set of defaults
+    ours = set(MapConfig.model_fields) - {f.name for f in fields(splat.TrainerConfig)}
+    assert ours == {"initial_iterations", "incremental_iterations", "add_points"}
+    config = Config.load(None, ["map.degree=1", "map.seed=3", "map.extent=0.5", "map.background=[1, 1, 1]"])
+    trained = splat.Trainer(splat.Gaussians.from_points(np.eye(3), np.eye(3)), config.map).config
+    assert (trained.degree, trained.seed, trained.extent, trained.background) == (1, 3, 0.5, (1, 1, 1))
+    with pytest.raises(InputError, match="position_rate must be finite and positive, found inf"):
+        Agent(Config.load(None, ["method=explicit", "map.position_rate=1e300"]))
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(splat.TrainerConfig)])
+def test_the_trainer_refuses_what_the_configuration_refuses(name: str):
+    """The bounds stand in two languages: neither lets pass what the other does not."""
+    points = splat.Gaussians.from_points(np.eye(3), np.eye(3))
+
+    def refused(value: Any) -> tuple[bool, bool]:
+        verdicts = []
+        for attempt in (
+            lambda: Config.from_dict({"map": {name: value}}),
+            lambda: splat.Trainer(points, splat.TrainerConfig(**{name: value})),
+        ):
+            try:
+                attempt()
+                verdicts.append(False)
+            except InputError:
+                verdicts.append(True)
+        return verdicts[0], verdicts[1]
+
+    vector = name == "background"
+    for number in (-1, 0, 1, 2, 4, float("nan"), float("inf")):
+        value = (number, 0.5, 0.5) if vector else number
+        config, trainer = refused(value)
+        assert config == trainer, (value, "configuration", config, "trainer", trainer)
+    assert refused("x") == (True, True)
