@@ -220,7 +220,7 @@ pub struct Catalogue {
 
 /// Layout of `catalogue.json`.
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "an object with `version`, `licence` and `objects`")]
 struct File {
     version: u32,
     licence: String,

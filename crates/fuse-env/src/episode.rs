@@ -17,6 +17,8 @@ use crate::targets::TargetStatistics;
 
 /// Version of the format that this build reads and writes.
 pub const EPISODE_SCHEMA_VERSION: u32 = 1;
+/// Size of a file's text up to which it is read: some ten thousand episodes.
+const LARGEST_BYTES: u64 = 512 << 20;
 /// Bounds of the share of the target that shows in the start view.
 pub const START_FRACTION: [f32; 2] = [0.05, 0.6];
 
@@ -105,6 +107,20 @@ pub enum EpisodeError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Unpacked, the file would be larger than any set of episodes.
+    #[error("{path} unpacks to more than {} MiB, too much for an episode file", LARGEST_BYTES >> 20)]
+    TooLarge {
+        /// File name.
+        path: String,
+    },
+    /// The file's own version is another.
+    #[error("{path} has schema version {found}, expected {EPISODE_SCHEMA_VERSION}")]
+    FileVersion {
+        /// File name.
+        path: String,
+        /// What it says.
+        found: u32,
+    },
     /// The file is no gzip stream, or ends early.
     #[error("{path} is not a complete gzip file: {source}")]
     Gzip {
@@ -146,10 +162,9 @@ struct FileOut<'a> {
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "an object with `schema_version` and `episodes`")]
 struct FileIn {
-    #[serde(rename = "schema_version")]
-    _schema_version: u32,
+    schema_version: u32,
     episodes: Vec<serde_json::Value>,
 }
 
@@ -260,12 +275,19 @@ impl Episode {
 pub fn read(path: &Path) -> Result<Vec<Episode>, EpisodeError> {
     let name = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|source| EpisodeError::Io { path: name.clone(), source })?;
-    let mut text = String::new();
+    let mut text = Vec::new();
     GzDecoder::new(bytes.as_slice())
-        .read_to_string(&mut text)
+        .take(LARGEST_BYTES + 1)
+        .read_to_end(&mut text)
         .map_err(|source| EpisodeError::Gzip { path: name.clone(), source })?;
+    if text.len() as u64 > LARGEST_BYTES {
+        return Err(EpisodeError::TooLarge { path: name });
+    }
     let file: FileIn =
-        serde_json::from_str(&text).map_err(|source| EpisodeError::Json { path: name.clone(), source })?;
+        serde_json::from_slice(&text).map_err(|source| EpisodeError::Json { path: name.clone(), source })?;
+    if file.schema_version != EPISODE_SCHEMA_VERSION {
+        return Err(EpisodeError::FileVersion { path: name, found: file.schema_version });
+    }
     let episodes = file.episodes.into_iter().map(|v| Episode::from_value(v, &name)).collect::<Result<Vec<_>, _>>()?;
     for (i, e) in episodes.iter().enumerate() {
         if episodes[..i].iter().any(|o| o.episode_id == e.episode_id) {

@@ -1,5 +1,6 @@
 //! On the shipped objects and scenes.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -122,6 +123,18 @@ fn broken_episodes_are_refused_by_name() {
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert!(episode::read(&path).unwrap_err().to_string().contains("not a complete gzip file"));
+    for (text, reason) in [
+        (&b"[]"[..], "expected an object with `schema_version` and `episodes`"),
+        (b"\xff\xfe", "is not an episode file: expected value"),
+        (b"{\"schema_version\": 7, \"episodes\": []}", "e.json.gz has schema version 7, expected 1"),
+        (&vec![b' '; (512 << 20) + 1], "unpacks to more than 512 MiB"),
+    ] {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(text).unwrap();
+        std::fs::write(&path, encoder.finish().unwrap()).unwrap();
+        let error = episode::read(&path).unwrap_err().to_string();
+        assert!(error.contains(reason), "{error}");
+    }
     std::fs::remove_dir_all(&folder).unwrap();
 
     let newer = serde_json::to_string(made()).unwrap().replacen("\"schema_version\":1", "\"schema_version\":2", 1);
@@ -134,6 +147,17 @@ fn unknown_verbs_and_impossible_targets_are_told_apart() {
     request.verb = "fly".into();
     assert!(
         episode(stage(), &validity, &request).unwrap_err().to_string().contains("unknown verb `fly`; known verbs: cut")
+    );
+    let exhausted = GenerateError::Exhausted {
+        verb: "pour".into(),
+        scene: "dev_study".into(),
+        seed: 3,
+        rejections: Rejections::from([("no room on the table", 4), (NOT_HIDDEN, 56)]),
+    };
+    assert_eq!(
+        exhausted.to_string(),
+        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view where the \
+         target is partly hidden: 56, no room on the table: 4); another seed or scene may have one"
     );
     let none = Validity::from([("fly".to_owned(), vec![])]);
     assert!(matches!(episode(stage(), &none, &request), Err(GenerateError::NoTarget { .. })));
