@@ -1,89 +1,26 @@
-"""`fuse`: registers the commands and turns what goes wrong into one sentence and an exit status.
+"""`fuse`: an exit status for whatever happens, from the first moment on.
 
 0 done, 1 ran but failed, 2 bad usage or input, 130 interrupted.
 """
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any
-
-import typer
-
-from fuse_grounding._core import __version__
-from fuse_grounding.errors import FuseError, InputError
-
-app = typer.Typer(
-    name="fuse",
-    help="Which object can do it, and where should the camera look next?",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-# In the order of `fuse --help`. A module has `app` (a group of commands) or `command` (one).
-_COMMANDS = ("run", "bench", "episodes", "objects", "knowledge", "train", "doctor")
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"fuse {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    """Which object can do it, and where should the camera look next?"""
-
-
-def _register() -> None:
-    for name in _COMMANDS:
-        module = importlib.import_module(f"fuse_grounding.cli.{name}")
-        if hasattr(module, "app"):
-            app.add_typer(module.app, name=name)
-        else:
-            app.command(name)(module.command)
-
-
-_register()
-
-# Typer brings its own copy of click in some versions: take the class that it uses.
-_UsageError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
 def execute(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line and returns its exit status."""
-    status = _attempt(arguments)
-    if status == 130:
-        typer.echo("fuse: interrupted; what was finished is kept", err=True)
-    return status
-
-
-def _attempt(arguments: Sequence[str] | None) -> int:
     try:
-        status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
-        return status if isinstance(status, int) else 0
-    except InputError as error:
-        typer.echo(f"fuse: {error}", err=True)
-        return 2
-    except FuseError as error:
-        typer.echo(f"fuse: {error}", err=True)
-        return 1
-    except (KeyboardInterrupt, typer.Abort):
-        return 130
-    except typer.Exit as exit_:
-        return exit_.exit_code
-    except _UsageError as error:
-        error.show()
-        return 2
-    except BrokenPipeError:
-        return 1
+        # Loading takes a second, and must not answer an interrupt with a traceback.
+        from fuse_grounding.cli.commands import attempt
+
+        status = attempt(arguments)
+    except KeyboardInterrupt:
+        status = 130
+    if status == 130:
+        print("fuse: interrupted; what was finished is kept", file=sys.stderr)
+    return status
 
 
 def main() -> None:

@@ -41,6 +41,8 @@ def command(
         raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
     settings = configure(config, overrides or [])
     chosen = load_episodes(episodes)[:limit]
+    if not chosen:
+        raise InputError(f"{episodes} has no episodes")
     agents = {name: Agent(settings.with_(method=name)) for name in names}
     provenance = agents[names[0]].provenance
     store = ResultStore(out, identity(settings, chosen, provenance), provenance, resume)

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -17,6 +23,33 @@ from fuse_grounding.record import ResultEntry, StepEntry
 def print_json(value: Any) -> None:
     """JSON on standard output, nothing else."""
     print(json.dumps(value, indent=1, allow_nan=False))
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Within it an interrupt ends the process at once, with 130, even in native code that does not listen.
+
+    For the main thread, and for work that writes nothing before it is done.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def listen() -> None:
+        while number := os.read(reading, 1):
+            if number[0] == signal.SIGINT:
+                print("fuse: interrupted; nothing was written", file=sys.stderr, flush=True)
+                os._exit(130)
+
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
+    before = signal.set_wakeup_fd(writing)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(writing)
+        listener.join()
+        os.close(reading)
 
 
 class Narrator:

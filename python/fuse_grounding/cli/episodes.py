@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import typer
 
-from fuse_grounding.cli.console import print_json
+from fuse_grounding.cli.console import interruptible, print_json
 from fuse_grounding.environment import (
     Episode,
     TabletopEnvironment,
@@ -38,8 +39,15 @@ def generate(
         raise InputError(f"--out must end in .json.gz, found {out}")
     if not out.parent.is_dir():
         raise InputError(f"the folder of --out does not exist: {out.parent}")
+    try:
+        if out.is_dir():
+            raise InputError(f"--out {out} is a folder")
+        tempfile.TemporaryFile(dir=out.parent).close()  # before minutes are spent
+    except OSError as error:
+        raise InputError(f"--out {out} cannot be written: {error.strerror}") from None
     began = time.perf_counter()
-    episodes, rejected = make_episodes(split, count, seed)
+    with interruptible():
+        episodes, rejected = make_episodes(split, count, seed)
     seconds = time.perf_counter() - began
     save_episodes(out, episodes)
     if as_json:

