@@ -63,6 +63,8 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         policy=lambda episode: method.policy(config, episode),
         spatial=spatial,
         look=lambda situation, rendered: evidence_maps(situation, rendered, config),
-        provenance=provenance(segmenter=weights),
+        provenance=provenance(
+            segmenter=weights, **({} if config.gate.planner is None else {"planner": config.gate.planner})
+        ),
     )
     return parts, config
