@@ -12,7 +12,7 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{
-    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN,
+    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN,
 };
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Pairs, Planes, Splat, View};
@@ -110,6 +110,8 @@ struct Tile {
     green: [[f32; 8]; TILE_BLOCKS],
     blue: [[f32; 8]; TILE_BLOCKS],
     depth: [[f32; 8]; TILE_BLOCKS],
+    /// α of one splat, by place in its list of blocks.
+    alpha: [[f32; 8]; TILE_BLOCKS],
 }
 
 impl Kernel for Band<'_> {
@@ -121,6 +123,7 @@ impl Kernel for Band<'_> {
             let range = self.offsets[column] as usize - base..self.offsets[column + 1] as usize - base;
             let origin = [(column * TILE_WIDTH) as f32, (self.row * TILE_HEIGHT) as f32];
             let mut tile = Tile {
+                alpha: [[0.0; 8]; TILE_BLOCKS],
                 transmittance: [[1.0; 8]; TILE_BLOCKS],
                 red: [[0.0; 8]; TILE_BLOCKS],
                 green: [[0.0; 8]; TILE_BLOCKS],
@@ -162,11 +165,11 @@ pub(super) static OFFSETS: BlockOffsets = {
 
 /// The splat's numbers in all lanes, its mean relative to the tile's corner.
 pub(super) struct Broadcast<V> {
-    pub mean: [V; 2],
-    pub a: V,
-    pub b: V,
-    pub c: V,
-    pub log2_opacity: V,
+    mean: [V; 2],
+    a: V,
+    b: V,
+    c: V,
+    log2_opacity: V,
     pub color: [V; 3],
 }
 
@@ -183,14 +186,51 @@ impl<V: F32x8> Broadcast<V> {
         }
     }
 
-    /// (dx, dy, p) at the pixels of a block.
+    /// (dx, dy) at the pixels of a block.
     #[inline(always)]
-    pub fn exponent(&self, block: usize) -> (V, V, V) {
-        let dx = V::load(&OFFSETS.x[block]) - self.mean[0];
-        let dy = V::load(&OFFSETS.y[block]) - self.mean[1];
+    pub fn offset(&self, block: usize) -> (V, V) {
+        (V::load(&OFFSETS.x[block]) - self.mean[0], V::load(&OFFSETS.y[block]) - self.mean[1])
+    }
+
+    /// α at the pixels of a block, clamped only where `CLAMP` says that it can be necessary.
+    #[inline(always)]
+    pub fn alpha<const CLAMP: bool>(&self, block: usize) -> V {
+        let (dx, dy) = self.offset(block);
         let linear = self.b.mul_add(dy, self.a * dx);
         let constant = (self.c * dy).mul_add(dy, self.log2_opacity);
-        (dx, dy, linear.mul_add(dx, constant))
+        let p = linear.mul_add(dx, constant);
+        let alpha = if CLAMP { p.exp2().min(V::splat(ALPHA_MAX)) } else { p.exp2() };
+        // The test is on the exponent: far from the mean, 2^p wraps.
+        alpha.and(p.ge(V::splat(LOG2_ALPHA_MIN)))
+    }
+}
+
+/// Can α reach its clamp?
+#[inline(always)]
+pub(super) fn clamps(splat: &Splat) -> bool {
+    splat.log2_opacity >= LOG2_ALPHA_MAX
+}
+
+/// The numbers of the blocks in a mask.
+pub(super) struct BlockList {
+    block: [u8; TILE_BLOCKS],
+    len: usize,
+}
+
+impl BlockList {
+    #[inline(always)]
+    pub fn new(mut mask: u64) -> Self {
+        let mut list = Self { block: [0; TILE_BLOCKS], len: mask.count_ones() as usize };
+        for block in &mut list.block[..list.len] {
+            *block = mask.trailing_zeros() as u8;
+            mask &= mask - 1;
+        }
+        list
+    }
+
+    #[inline(always)]
+    pub fn iter(&self) -> impl Iterator<Item = usize> {
+        self.block[..self.len].iter().map(|&b| usize::from(b) % TILE_BLOCKS)
     }
 }
 
@@ -208,28 +248,42 @@ fn draw_tile<V: F32x8, const DEPTH: bool>(
             alive = still_alive::<V>(tile, alive);
         }
         *mask &= alive;
-        let mut blocks = *mask;
-        if blocks == 0 {
+        if *mask == 0 {
             continue;
         }
         let splat = &splats[g as usize];
-        let s = Broadcast::<V>::new(splat, origin);
-        let depth = V::splat(splat.depth);
-        while blocks != 0 {
-            let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-            blocks &= blocks - 1;
-            let (_, _, p) = s.exponent(block);
-            // The test is on the exponent: far from the mean, 2^p wraps.
-            let alpha = p.exp2().min(V::splat(ALPHA_MAX)).and(p.ge(V::splat(LOG2_ALPHA_MIN)));
-            let t = V::load(&tile.transmittance[block]);
-            let w = alpha * t;
-            (t - w).store(&mut tile.transmittance[block]);
-            w.mul_add(s.color[0], V::load(&tile.red[block])).store(&mut tile.red[block]);
-            w.mul_add(s.color[1], V::load(&tile.green[block])).store(&mut tile.green[block]);
-            w.mul_add(s.color[2], V::load(&tile.blue[block])).store(&mut tile.blue[block]);
-            if DEPTH {
-                w.mul_add(depth, V::load(&tile.depth[block])).store(&mut tile.depth[block]);
-            }
+        if clamps(splat) {
+            draw_pair::<V, DEPTH, true>(splat, origin, *mask, tile);
+        } else {
+            draw_pair::<V, DEPTH, false>(splat, origin, *mask, tile);
+        }
+    }
+}
+
+/// One splat on one tile. First all α, then all blending: in one loop the chain of dependent
+/// instructions is so long that the processor's registers run out before its units are busy.
+#[inline(always)]
+fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
+    splat: &Splat,
+    origin: [f32; 2],
+    mask: u64,
+    tile: &mut Tile,
+) {
+    let s = Broadcast::<V>::new(splat, origin);
+    let depth = V::splat(splat.depth);
+    let blocks = BlockList::new(mask);
+    for (block, alpha) in blocks.iter().zip(&mut tile.alpha) {
+        s.alpha::<CLAMP>(block).store(alpha);
+    }
+    for (block, alpha) in blocks.iter().zip(&tile.alpha) {
+        let t = V::load(&tile.transmittance[block]);
+        let w = V::load(alpha) * t;
+        (t - w).store(&mut tile.transmittance[block]);
+        w.mul_add(s.color[0], V::load(&tile.red[block])).store(&mut tile.red[block]);
+        w.mul_add(s.color[1], V::load(&tile.green[block])).store(&mut tile.green[block]);
+        w.mul_add(s.color[2], V::load(&tile.blue[block])).store(&mut tile.blue[block]);
+        if DEPTH {
+            w.mul_add(depth, V::load(&tile.depth[block])).store(&mut tile.depth[block]);
         }
     }
 }

@@ -11,8 +11,8 @@
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
-use super::rasterize::Broadcast;
-use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
+use super::rasterize::{BlockList, Broadcast, clamps};
+use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{PairGradient, Pairs, Splat, View};
 
@@ -59,6 +59,9 @@ struct Tile {
     remaining: [[f32; 8]; TILE_BLOCKS],
     /// G.
     gradient: [[[f32; 8]; 3]; TILE_BLOCKS],
+    /// α and α/(1 − α) of one splat, by place in its list of blocks.
+    alpha: [[f32; 8]; TILE_BLOCKS],
+    odds: [[f32; 8]; TILE_BLOCKS],
 }
 
 impl Kernel for TileBackward<'_> {
@@ -74,15 +77,20 @@ impl Kernel for TileBackward<'_> {
             transmittance: [[1.0; 8]; TILE_BLOCKS],
             remaining: [[0.0; 8]; TILE_BLOCKS],
             gradient: [[[0.0; 8]; 3]; TILE_BLOCKS],
+            alpha: [[0.0; 8]; TILE_BLOCKS],
+            odds: [[0.0; 8]; TILE_BLOCKS],
         };
         self.load::<V>(column, row, &mut tile);
         for ((&g, &mask), out) in self.gaussian.iter().zip(self.mask).zip(self.out) {
-            *out = if mask == 0 {
-                [0.0; 9]
-            } else {
-                let splat = Broadcast::<V>::new(&self.splats[g as usize], origin);
-                pair_gradient(&splat, mask, &mut tile)
-            };
+            *out = [0.0; 9];
+            if mask != 0 {
+                let splat = &self.splats[g as usize];
+                *out = if clamps(splat) {
+                    pair_gradient::<V, true>(splat, origin, mask, &mut tile)
+                } else {
+                    pair_gradient::<V, false>(splat, origin, mask, &mut tile)
+                };
+            }
         }
     }
 }
@@ -127,17 +135,23 @@ fn copy(from: &[f32], to: &mut [f32]) {
 
 /// The nine sums of one splat over the blocks in `mask`; advances the tile's state past it.
 #[inline(always)]
-fn pair_gradient<V: F32x8>(s: &Broadcast<V>, mask: u64, tile: &mut Tile) -> PairGradient {
+fn pair_gradient<V: F32x8, const CLAMP: bool>(
+    splat: &Splat,
+    origin: [f32; 2],
+    mask: u64,
+    tile: &mut Tile,
+) -> PairGradient {
+    let s = Broadcast::<V>::new(splat, origin);
+    let blocks = BlockList::new(mask);
+    for (block, (alpha, odds)) in blocks.iter().zip(tile.alpha.iter_mut().zip(&mut tile.odds)) {
+        let a = s.alpha::<CLAMP>(block);
+        a.store(alpha);
+        (a / (V::splat(1.0) - a)).store(odds);
+    }
     let mut color = [V::zero(); 3];
     let mut moment = [V::zero(); 6];
-    let mut blocks = mask;
-    while blocks != 0 {
-        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-        blocks &= blocks - 1;
-        let (dx, dy, p) = s.exponent(block);
-        let drawn = p.ge(V::splat(LOG2_ALPHA_MIN));
-        let raw = p.exp2();
-        let alpha = raw.min(V::splat(ALPHA_MAX)).and(drawn);
+    for (block, (alpha, odds)) in blocks.iter().zip(tile.alpha.iter().zip(&tile.odds)) {
+        let alpha = V::load(alpha);
         let t = V::load(&tile.transmittance[block]);
         let w = alpha * t;
         (t - w).store(&mut tile.transmittance[block]);
@@ -152,8 +166,10 @@ fn pair_gradient<V: F32x8>(s: &Broadcast<V>, mask: u64, tile: &mut Tile) -> Pair
         let remaining = V::load(&tile.remaining[block]) - u;
         remaining.store(&mut tile.remaining[block]);
 
-        let g = u - remaining * alpha / (V::splat(1.0) - alpha);
-        let g = g.and(V::splat(ALPHA_MAX).ge(raw)).and(drawn);
+        // Where nothing is drawn, u and the odds are zero, and so is this.
+        let g = u - remaining * V::load(odds);
+        let g = if CLAMP { g.and(V::splat(ALPHA_MAX).gt(alpha)) } else { g };
+        let (dx, dy) = s.offset(block);
         let (gx, gy) = (g * dx, g * dy);
         moment[0] = moment[0] + g;
         moment[1] = moment[1] + gx;
