@@ -17,6 +17,8 @@ use crate::constants::{
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Pairs, Planes, Splat, View};
 
+/// Blocks side by side in a tile.
+pub(super) const BLOCK_COLUMNS: usize = TILE_WIDTH / BLOCK_WIDTH;
 /// Splats between two looks at which blocks are alive.
 const LOOK: usize = 8;
 
@@ -102,16 +104,28 @@ fn bands<'a>(
     out
 }
 
-/// State of a tile, a vector a block.
+/// What a block of eight pixels has gathered. Together in two cache lines; planes of a power of two
+/// bytes each would lie at addresses that the processor takes for one another.
+#[derive(Clone, Copy)]
 #[repr(C, align(64))]
+struct BlockState {
+    transmittance: [f32; 8],
+    color: [[f32; 8]; 3],
+    depth: [f32; 8],
+}
+
+/// State of a tile.
 struct Tile {
-    transmittance: [[f32; 8]; TILE_BLOCKS],
-    red: [[f32; 8]; TILE_BLOCKS],
-    green: [[f32; 8]; TILE_BLOCKS],
-    blue: [[f32; 8]; TILE_BLOCKS],
-    depth: [[f32; 8]; TILE_BLOCKS],
+    blocks: [BlockState; TILE_BLOCKS],
     /// α of one splat, by place in its list of blocks.
     alpha: [[f32; 8]; TILE_BLOCKS],
+}
+
+impl Tile {
+    const EMPTY: Self = Self {
+        blocks: [BlockState { transmittance: [1.0; 8], color: [[0.0; 8]; 3], depth: [0.0; 8] }; TILE_BLOCKS],
+        alpha: [[0.0; 8]; TILE_BLOCKS],
+    };
 }
 
 impl Kernel for Band<'_> {
@@ -122,21 +136,14 @@ impl Kernel for Band<'_> {
         for column in 0..self.view.tiles_x() {
             let range = self.offsets[column] as usize - base..self.offsets[column + 1] as usize - base;
             let origin = [(column * TILE_WIDTH) as f32, (self.row * TILE_HEIGHT) as f32];
-            let mut tile = Tile {
-                alpha: [[0.0; 8]; TILE_BLOCKS],
-                transmittance: [[1.0; 8]; TILE_BLOCKS],
-                red: [[0.0; 8]; TILE_BLOCKS],
-                green: [[0.0; 8]; TILE_BLOCKS],
-                blue: [[0.0; 8]; TILE_BLOCKS],
-                depth: [[0.0; 8]; TILE_BLOCKS],
-            };
+            let mut tile = Tile::EMPTY;
             let (gaussian, mask) = (&self.gaussian[range.clone()], &mut self.mask[range]);
             if self.depth.is_some() {
                 draw_tile::<V, true>(origin, self.splats, gaussian, mask, &mut tile);
             } else {
                 draw_tile::<V, false>(origin, self.splats, gaussian, mask, &mut tile);
             }
-            self.store(column, &tile);
+            self.store::<V>(column, &tile);
         }
     }
 }
@@ -212,26 +219,13 @@ pub(super) fn clamps(splat: &Splat) -> bool {
 }
 
 /// The numbers of the blocks in a mask.
-pub(super) struct BlockList {
-    block: [u8; TILE_BLOCKS],
-    len: usize,
-}
-
-impl BlockList {
-    #[inline(always)]
-    pub fn new(mut mask: u64) -> Self {
-        let mut list = Self { block: [0; TILE_BLOCKS], len: mask.count_ones() as usize };
-        for block in &mut list.block[..list.len] {
-            *block = mask.trailing_zeros() as u8;
-            mask &= mask - 1;
-        }
-        list
-    }
-
-    #[inline(always)]
-    pub fn iter(&self) -> impl Iterator<Item = usize> {
-        self.block[..self.len].iter().map(|&b| usize::from(b) % TILE_BLOCKS)
-    }
+#[inline(always)]
+pub(super) fn blocks(mut mask: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let block = mask.trailing_zeros() as usize;
+        mask &= mask.wrapping_sub(1);
+        (block < TILE_BLOCKS).then_some(block)
+    })
 }
 
 #[inline(always)]
@@ -271,19 +265,19 @@ fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
 ) {
     let s = Broadcast::<V>::new(splat, origin);
     let depth = V::splat(splat.depth);
-    let blocks = BlockList::new(mask);
-    for (block, alpha) in blocks.iter().zip(&mut tile.alpha) {
+    for (block, alpha) in blocks(mask).zip(&mut tile.alpha) {
         s.alpha::<CLAMP>(block).store(alpha);
     }
-    for (block, alpha) in blocks.iter().zip(&tile.alpha) {
-        let t = V::load(&tile.transmittance[block]);
+    for (block, alpha) in blocks(mask).zip(&tile.alpha) {
+        let state = &mut tile.blocks[block];
+        let t = V::load(&state.transmittance);
         let w = V::load(alpha) * t;
-        (t - w).store(&mut tile.transmittance[block]);
-        w.mul_add(s.color[0], V::load(&tile.red[block])).store(&mut tile.red[block]);
-        w.mul_add(s.color[1], V::load(&tile.green[block])).store(&mut tile.green[block]);
-        w.mul_add(s.color[2], V::load(&tile.blue[block])).store(&mut tile.blue[block]);
+        (t - w).store(&mut state.transmittance);
+        for (sum, color) in state.color.iter_mut().zip(s.color) {
+            w.mul_add(color, V::load(sum)).store(sum);
+        }
         if DEPTH {
-            w.mul_add(depth, V::load(&tile.depth[block])).store(&mut tile.depth[block]);
+            w.mul_add(depth, V::load(&state.depth)).store(&mut state.depth);
         }
     }
 }
@@ -292,11 +286,8 @@ fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
 #[inline(always)]
 fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
     let mut still = alive;
-    let mut blocks = alive;
-    while blocks != 0 {
-        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-        blocks &= blocks - 1;
-        if V::load(&tile.transmittance[block]).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
+    for block in blocks(alive) {
+        if V::load(&tile.blocks[block].transmittance).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
             still &= !(1 << block);
         }
     }
@@ -306,34 +297,38 @@ fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
 impl Band<'_> {
     /// Blocks → rows of the image, background added.
     #[inline(always)]
-    fn store(&mut self, column: usize, tile: &Tile) {
+    fn store<V: F32x8>(&mut self, column: usize, tile: &Tile) {
         let width = self.view.width;
-        let left = column * TILE_WIDTH;
-        let columns = TILE_WIDTH.min(width - left);
         let rows = self.transmittance.len() / width;
-        for y in 0..rows.min(TILE_HEIGHT) {
-            let at = y * width + left;
-            let first = y / BLOCK_HEIGHT * (TILE_WIDTH / BLOCK_WIDTH);
-            let lane = y % BLOCK_HEIGHT * BLOCK_WIDTH;
-            let line = |plane: &[[f32; 8]; TILE_BLOCKS]| -> [f32; TILE_WIDTH] {
-                let mut out = [0.0; TILE_WIDTH];
-                for (b, part) in out.chunks_exact_mut(BLOCK_WIDTH).enumerate() {
-                    part.copy_from_slice(&plane[first + b][lane..lane + BLOCK_WIDTH]);
+        for (b, state) in tile.blocks.iter().enumerate() {
+            let x = column * TILE_WIDTH + b % BLOCK_COLUMNS * BLOCK_WIDTH;
+            let y = b / BLOCK_COLUMNS * BLOCK_HEIGHT;
+            if x >= width || y >= rows {
+                continue;
+            }
+            let put = |values: V, plane: &mut [f32]| {
+                let lines = values.to_array();
+                for (line, y) in lines.chunks_exact(BLOCK_WIDTH).zip(y..rows) {
+                    copy_line(line, &mut plane[y * width + x..(y + 1) * width]);
                 }
-                out
             };
-            let t = line(&tile.transmittance);
-            self.transmittance[at..at + columns].copy_from_slice(&t[..columns]);
-            for (c, plane) in [&tile.red, &tile.green, &tile.blue].into_iter().enumerate() {
-                let mut values = line(plane);
-                for (v, t) in values.iter_mut().zip(&t) {
-                    *v += t * self.background[c];
-                }
-                self.color[c][at..at + columns].copy_from_slice(&values[..columns]);
+            let t = V::load(&state.transmittance);
+            put(t, self.transmittance);
+            for (c, plane) in self.color.iter_mut().enumerate() {
+                put(t.mul_add(V::splat(self.background[c]), V::load(&state.color[c])), plane);
             }
             if let Some(depth) = &mut self.depth {
-                depth[at..at + columns].copy_from_slice(&line(&tile.depth)[..columns]);
+                put(V::load(&state.depth), depth);
             }
         }
+    }
+}
+
+/// Copies a line of a block to or from the image, as much of it as both hold.
+#[inline(always)]
+pub(super) fn copy_line(from: &[f32], to: &mut [f32]) {
+    match (from.first_chunk::<BLOCK_WIDTH>(), to.first_chunk_mut::<BLOCK_WIDTH>()) {
+        (Some(from), Some(to)) => *to = *from,
+        _ => from.iter().zip(to).for_each(|(f, t)| *t = *f),
     }
 }
