@@ -233,7 +233,7 @@ mod x86 {
 
     /// Whether [`run_avx512`] may be called.
     pub(super) static HAS_AVX512: LazyLock<bool> = LazyLock::new(|| {
-        std::env::var_os("NO512").is_none() && is_x86_feature_detected!("avx512f")
+        is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512vl")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
@@ -370,6 +370,20 @@ mod tests {
             let v = V::load(self.0);
             let sums = V::sums(from_fn(|i| v * V::splat(i as f32)));
             (v.exp2().to_array(), v.max(V::splat(1e-3)).log2().to_array(), sums)
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn more_registers_do_not_change_a_bit() {
+        if !*x86::HAS_AVX512 || fuse_camera::simd::best() != Level::Avx2Fma {
+            return;
+        }
+        for k in 0..4000 {
+            let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
+            // SAFETY: the machine was just found to have these instructions.
+            let (narrow, wide) = unsafe { (x86::run(Elementary(&x)), x86::run_avx512(Elementary(&x))) };
+            assert_eq!(narrow, wide);
         }
     }
 

@@ -12,7 +12,8 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{
-    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN,
+    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH,
+    TRANSMITTANCE_MIN,
 };
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Pairs, Planes, Splat, View};
