@@ -6,9 +6,10 @@
 use std::sync::OnceLock;
 
 /// A set of vector instructions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     /// Whatever the build target guarantees (SSE2 on x86-64, NEON on arm64).
+    #[default]
     Portable,
     /// AVX2 and FMA.
     Avx2Fma,

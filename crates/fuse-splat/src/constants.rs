@@ -28,6 +28,8 @@ pub const LOW_PASS: f32 = 0.3;
 pub const FOV_MARGIN: f32 = 1.3;
 /// Opacity of one Gaussian at one pixel is at most this.
 pub const ALPHA_MAX: f32 = 0.99;
+/// log2 0.99, less a margin for rounding: a splat that is less opaque is clamped nowhere.
+pub(crate) const LOG2_ALPHA_MAX: f32 = -0.0155;
 /// Contributions below one grey level are skipped.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// log2 of [`ALPHA_MIN`].

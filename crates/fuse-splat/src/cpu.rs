@@ -56,9 +56,9 @@ pub struct StageSeconds {
 }
 
 /// Buffers of all stages, kept between iterations.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Pipeline {
-    level: Level,
+    pub level: Level,
     pub splats: Vec<Splat>,
     pub order: Vec<u32>,
     sort: DepthSort,
@@ -79,18 +79,7 @@ pub(crate) fn lap(from: &mut Instant, to: &mut f64) {
 
 impl Pipeline {
     pub fn new(level: Level) -> Self {
-        Self {
-            level,
-            splats: Vec::new(),
-            order: Vec::new(),
-            sort: DepthSort::default(),
-            chunks: Vec::new(),
-            pairs: Pairs::default(),
-            image: Image::default(),
-            image_gradient: Vec::new(),
-            pair_gradients: Vec::new(),
-            seconds: StageSeconds::default(),
-        }
+        Self { level, ..Self::default() }
     }
 
     /// Draws the image.

@@ -1,7 +1,10 @@
 //! Rendering, and the gradient of the loss, as plain functions.
 
+use std::cell::Cell;
+
 use fuse_camera::simd::Level;
 use fuse_camera::{Buffer, Camera, RgbBuffer};
+use rayon::prelude::*;
 
 use crate::constants::MAX_DEGREE;
 use crate::cpu::loss::Target;
@@ -9,6 +12,14 @@ use crate::cpu::{Pipeline, project_backward};
 use crate::stages::View;
 use crate::table::Table;
 use crate::{Gaussians, SplatError};
+
+/// Pixels that a thread converts at least.
+const CHUNK: usize = 1 << 15;
+
+thread_local! {
+    /// Buffers of the thread's last rendering, for its next: fresh ones take longer to map than to fill.
+    static PIPELINE: Cell<Option<Box<Pipeline>>> = const { Cell::new(None) };
+}
 
 /// A rendered view.
 #[derive(Clone, Debug)]
@@ -38,13 +49,25 @@ pub fn render_at(
     background: [f32; 3],
 ) -> Result<Rendering, SplatError> {
     let view = View::new(camera)?;
-    let mut pipeline = Pipeline::new(level);
+    let mut pipeline = PIPELINE.take().unwrap_or_default();
+    pipeline.level = level;
     pipeline.forward(&view, MAX_DEGREE, background, &gaussians.table, true);
-    let image = pipeline.image;
+    let image = &pipeline.image;
     let n = view.pixels();
-    let color = (0..n).map(|i| [0, 1, 2].map(|c| image.color[c * n + i].clamp(0.0, 1.0))).collect();
-    let alpha: Vec<f32> = image.transmittance.iter().map(|t| 1.0 - t).collect();
-    let depth = image.depth.iter().zip(&alpha).map(|(&d, &a)| if a > 0.0 { d / a } else { 0.0 }).collect();
+    let color = (0..n)
+        .into_par_iter()
+        .with_min_len(CHUNK)
+        .map(|i| [0, 1, 2].map(|c| image.color[c * n + i].clamp(0.0, 1.0)))
+        .collect();
+    let alpha: Vec<f32> = image.transmittance.par_iter().with_min_len(CHUNK).map(|t| 1.0 - t).collect();
+    let depth = image
+        .depth
+        .par_iter()
+        .zip(&alpha)
+        .with_min_len(CHUNK)
+        .map(|(&d, &a)| if a > 0.0 { d / a } else { 0.0 })
+        .collect();
+    PIPELINE.set(Some(pipeline));
     let buffer = |e: fuse_camera::BufferError| SplatError::Input(e.to_string());
     let (w, h) = (view.width as u32, view.height as u32);
     Ok(Rendering {

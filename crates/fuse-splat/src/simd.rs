@@ -115,6 +115,10 @@ pub(crate) trait Kernel {
 pub(crate) fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
     if level == Level::Avx2Fma && fuse_camera::simd::best() == Level::Avx2Fma {
+        if *x86::HAS_AVX512 {
+            // SAFETY: the machine was just found to have all of these.
+            return unsafe { x86::run_avx512(kernel) };
+        }
         // SAFETY: the machine was just found to have AVX2 and FMA.
         return unsafe { x86::run(kernel) };
     }
@@ -223,8 +227,27 @@ const HALF_ROOT: i32 = 0x3f35_04f3;
 mod x86 {
     use std::arch::x86_64::*;
     use std::ops::{Add, Div, Mul, Sub};
+    use std::sync::LazyLock;
 
     use super::{F32x8, HALF_ROOT, Kernel};
+
+    /// Whether [`run_avx512`] may be called.
+    pub(super) static HAS_AVX512: LazyLock<bool> = LazyLock::new(|| {
+        is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+    });
+
+    /// The same instructions on the same eight lanes, hence the same bits, but with 32 registers
+    /// instead of 16.
+    ///
+    /// # Safety
+    /// The machine has AVX2, FMA and the named parts of AVX-512.
+    #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512bw,avx512dq")]
+    pub(super) unsafe fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
+        kernel.run::<Avx2>()
+    }
 
     /// # Safety
     /// The machine has AVX2 and FMA.
@@ -347,6 +370,20 @@ mod tests {
             let v = V::load(self.0);
             let sums = V::sums(from_fn(|i| v * V::splat(i as f32)));
             (v.exp2().to_array(), v.max(V::splat(1e-3)).log2().to_array(), sums)
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn more_registers_do_not_change_a_bit() {
+        if !*x86::HAS_AVX512 || fuse_camera::simd::best() != Level::Avx2Fma {
+            return;
+        }
+        for k in 0..4000 {
+            let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
+            // SAFETY: the machine was just found to have these instructions.
+            let (narrow, wide) = unsafe { (x86::run(Elementary(&x)), x86::run_avx512(Elementary(&x))) };
+            assert_eq!(narrow, wide);
         }
     }
 

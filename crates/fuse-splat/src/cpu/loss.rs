@@ -33,14 +33,14 @@ const PAD: usize = 8;
 /// Half the window.
 const HALF: usize = SSIM_WINDOW / 2;
 
-/// The window's weights; they add up to one.
-static WEIGHTS: LazyLock<[f32; SSIM_WINDOW]> = LazyLock::new(|| {
+/// The window's weights from its rim to its middle; the whole window adds up to one.
+static WEIGHTS: LazyLock<[f32; HALF + 1]> = LazyLock::new(|| {
     let w: [f64; SSIM_WINDOW] = std::array::from_fn(|i| {
         let d = i as f64 - HALF as f64;
         (-d * d / (2.0 * SSIM_SIGMA * SSIM_SIGMA)).exp()
     });
     let sum: f64 = w.iter().sum();
-    w.map(|v| (v / sum) as f32)
+    std::array::from_fn(|i| (w[i] / sum) as f32)
 });
 
 /// A true image with what the loss needs of it.
@@ -79,13 +79,14 @@ fn stride(width: usize) -> usize {
 
 /// Blurs along a padded row; `out` is padded alike, its padding is left alone.
 #[inline(always)]
-fn blur_row<V: F32x8>(w: &[V; SSIM_WINDOW], row: &[f32], out: &mut [f32]) {
+fn blur_row<V: F32x8>(w: &[V; HALF + 1], row: &[f32], out: &mut [f32]) {
     let n = out.len() - 2 * PAD;
     for x in (0..n).step_by(8) {
         let window = &row[PAD - HALF + x..][..8 + 2 * HALF];
-        let mut sum = w[0] * V::load_slice(window);
-        for k in 1..SSIM_WINDOW {
-            sum = w[k].mul_add(V::load_slice(&window[k..]), sum);
+        let mut sum = w[HALF] * V::load_slice(&window[HALF..]);
+        for k in 0..HALF {
+            let pair = V::load_slice(&window[k..]) + V::load_slice(&window[2 * HALF - k..]);
+            sum = w[k].mul_add(pair, sum);
         }
         sum.store_slice(&mut out[PAD + x..]);
     }
@@ -112,25 +113,33 @@ impl<const ROWS: usize> Ring<ROWS> {
         &mut self.lines[row % ROWS * self.stride..][..self.stride]
     }
 
-    /// Blurs down four windows at once, at column `x`: the first begins at row `top`.
+    /// The rows of [`STEP`] windows that begin at rows `top`, `top + 1` and so on.
     #[inline(always)]
-    fn blur_down<V: F32x8>(&self, w: &[V; SSIM_WINDOW], top: usize, x: usize) -> [V; STEP] {
-        let mut sums = [V::zero(); STEP];
-        for j in 0..SSIM_WINDOW + STEP - 1 {
-            let v = V::load_slice(&self.lines[(top + j) % ROWS * self.stride + PAD + x..]);
-            for (o, sum) in sums.iter_mut().enumerate() {
-                if j >= o && j - o < SSIM_WINDOW {
-                    *sum = w[j - o].mul_add(v, *sum);
-                }
-            }
-        }
-        sums
+    fn windows(&self, top: usize) -> [&[f32]; SSIM_WINDOW + STEP - 1] {
+        std::array::from_fn(|j| self.line(top + j))
     }
 }
 
+/// Blurs down [`STEP`] windows at once, at column `x`.
 #[inline(always)]
-fn weights<V: F32x8>() -> [V; SSIM_WINDOW] {
-    let mut out = [V::zero(); SSIM_WINDOW];
+fn blur_down<V: F32x8>(w: &[V; HALF + 1], rows: &[&[f32]; SSIM_WINDOW + STEP - 1], x: usize) -> [V; STEP] {
+    let mut v = [V::zero(); SSIM_WINDOW + STEP - 1];
+    for (v, row) in v.iter_mut().zip(rows) {
+        *v = V::load_slice(&row[PAD + x..]);
+    }
+    let mut sums = [V::zero(); STEP];
+    for (o, sum) in sums.iter_mut().enumerate() {
+        *sum = w[HALF] * v[o + HALF];
+        for k in 0..HALF {
+            *sum = w[k].mul_add(v[o + k] + v[o + 2 * HALF - k], *sum);
+        }
+    }
+    sums
+}
+
+#[inline(always)]
+fn weights<V: F32x8>() -> [V; HALF + 1] {
+    let mut out = [V::zero(); HALF + 1];
     for (v, &w) in out.iter_mut().zip(WEIGHTS.iter()) {
         *v = V::splat(w);
     }
@@ -180,8 +189,9 @@ impl Kernel for BlurPlane<'_> {
             let Some(first) = top.checked_sub(LAG) else { continue };
             let rows = first..(first + STEP).min(self.height);
             for (ring, plane) in rings.iter().zip([&mut *self.mean, &mut *self.square]) {
+                let windows = ring.windows(first);
                 for x in (0..self.width).step_by(8) {
-                    let blurred = ring.blur_down(&w, first, x);
+                    let blurred = blur_down(&w, &windows, x);
                     for (y, v) in rows.clone().zip(blurred) {
                         store_lanes(v, &mut plane[y * self.width + x..(y + 1) * self.width]);
                     }
@@ -322,7 +332,7 @@ impl BandView<'_> {
 /// Row `r` of x, x², x y, blurred along, into the rings.
 #[inline(always)]
 fn along_row<V: F32x8>(
-    w: &[V; SSIM_WINDOW],
+    w: &[V; HALF + 1],
     image: &[f32],
     band: &BandView<'_>,
     channel: usize,
@@ -350,21 +360,16 @@ fn along_row<V: F32x8>(
 /// Four rows of slopes, blurred along, into the rings; returns Σ s over the rows that belong to
 /// the band. `first` is the first row of the first window; the slopes' rows are numbered like it.
 #[inline(always)]
-fn slopes_rows<V: F32x8>(
-    w: &[V; SSIM_WINDOW],
-    band: &BandView<'_>,
-    channel: usize,
-    first: usize,
-    s: &mut Scratch,
-) -> f64 {
+fn slopes_rows<V: F32x8>(w: &[V; HALF + 1], band: &BandView<'_>, channel: usize, first: usize, s: &mut Scratch) -> f64 {
     let width = band.target.width;
     let mut sum = 0.0;
     let centres: [Option<usize>; STEP] = std::array::from_fn(|o| band.row(first + o + HALF));
     let mut ssim = [V::zero(); STEP];
+    let windows = s.along.each_ref().map(|ring| ring.windows(first));
     for x in (0..width).step_by(8) {
-        let mean = s.along[0].blur_down(w, first, x);
-        let square = s.along[1].blur_down(w, first, x);
-        let product = s.along[2].blur_down(w, first, x);
+        let mean = blur_down(w, &windows[0], x);
+        let square = blur_down(w, &windows[1], x);
+        let product = blur_down(w, &windows[2], x);
         let lanes = (width - x).min(8);
         for o in 0..STEP {
             let Some(row) = centres[o] else { continue };
@@ -427,7 +432,7 @@ fn ssim_slopes<V: F32x8>(mx: V, xx: V, xy: V, my: V, yy: V) -> (V, [V; 3]) {
 /// the first window of slopes, so that the gradient's first row is `last + 2·HALF`.
 #[inline(always)]
 fn gradient_rows<V: F32x8>(
-    w: &[V; SSIM_WINDOW],
+    w: &[V; HALF + 1],
     band: &BandView<'_>,
     lambda: f32,
     last: usize,
@@ -438,10 +443,11 @@ fn gradient_rows<V: F32x8>(
     let n = (3 * width * band.target.height) as f32;
     let (sign_scale, ssim_scale) = (V::splat((1.0 - lambda) / n), V::splat(-lambda / n));
     let mut l1 = [V::zero(); STEP];
+    let windows = s.slopes.each_ref().map(|ring| ring.windows(last));
     for x in (0..width).step_by(8) {
-        let d_mean = s.slopes[0].blur_down(w, last, x);
-        let d_xx = s.slopes[1].blur_down(w, last, x);
-        let d_xy = s.slopes[2].blur_down(w, last, x);
+        let d_mean = blur_down(w, &windows[0], x);
+        let d_xx = blur_down(w, &windows[1], x);
+        let d_xy = blur_down(w, &windows[2], x);
         for o in 0..STEP {
             let row = last + o;
             if row >= band.height {

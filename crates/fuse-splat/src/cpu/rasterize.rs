@@ -12,11 +12,14 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{
-    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN,
+    ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH,
+    TRANSMITTANCE_MIN,
 };
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Pairs, Planes, Splat, View};
 
+/// Blocks side by side in a tile.
+pub(super) const BLOCK_COLUMNS: usize = TILE_WIDTH / BLOCK_WIDTH;
 /// Splats between two looks at which blocks are alive.
 const LOOK: usize = 8;
 
@@ -102,14 +105,28 @@ fn bands<'a>(
     out
 }
 
-/// State of a tile, a vector a block.
+/// What a block of eight pixels has gathered. Together in two cache lines; planes of a power of two
+/// bytes each would lie at addresses that the processor takes for one another.
+#[derive(Clone, Copy)]
 #[repr(C, align(64))]
+struct BlockState {
+    transmittance: [f32; 8],
+    color: [[f32; 8]; 3],
+    depth: [f32; 8],
+}
+
+/// State of a tile.
 struct Tile {
-    transmittance: [[f32; 8]; TILE_BLOCKS],
-    red: [[f32; 8]; TILE_BLOCKS],
-    green: [[f32; 8]; TILE_BLOCKS],
-    blue: [[f32; 8]; TILE_BLOCKS],
-    depth: [[f32; 8]; TILE_BLOCKS],
+    blocks: [BlockState; TILE_BLOCKS],
+    /// α of one splat, by place in its list of blocks.
+    alpha: [[f32; 8]; TILE_BLOCKS],
+}
+
+impl Tile {
+    const EMPTY: Self = Self {
+        blocks: [BlockState { transmittance: [1.0; 8], color: [[0.0; 8]; 3], depth: [0.0; 8] }; TILE_BLOCKS],
+        alpha: [[0.0; 8]; TILE_BLOCKS],
+    };
 }
 
 impl Kernel for Band<'_> {
@@ -120,20 +137,14 @@ impl Kernel for Band<'_> {
         for column in 0..self.view.tiles_x() {
             let range = self.offsets[column] as usize - base..self.offsets[column + 1] as usize - base;
             let origin = [(column * TILE_WIDTH) as f32, (self.row * TILE_HEIGHT) as f32];
-            let mut tile = Tile {
-                transmittance: [[1.0; 8]; TILE_BLOCKS],
-                red: [[0.0; 8]; TILE_BLOCKS],
-                green: [[0.0; 8]; TILE_BLOCKS],
-                blue: [[0.0; 8]; TILE_BLOCKS],
-                depth: [[0.0; 8]; TILE_BLOCKS],
-            };
+            let mut tile = Tile::EMPTY;
             let (gaussian, mask) = (&self.gaussian[range.clone()], &mut self.mask[range]);
             if self.depth.is_some() {
                 draw_tile::<V, true>(origin, self.splats, gaussian, mask, &mut tile);
             } else {
                 draw_tile::<V, false>(origin, self.splats, gaussian, mask, &mut tile);
             }
-            self.store(column, &tile);
+            self.store::<V>(column, &tile);
         }
     }
 }
@@ -162,11 +173,11 @@ pub(super) static OFFSETS: BlockOffsets = {
 
 /// The splat's numbers in all lanes, its mean relative to the tile's corner.
 pub(super) struct Broadcast<V> {
-    pub mean: [V; 2],
-    pub a: V,
-    pub b: V,
-    pub c: V,
-    pub log2_opacity: V,
+    mean: [V; 2],
+    a: V,
+    b: V,
+    c: V,
+    log2_opacity: V,
     pub color: [V; 3],
 }
 
@@ -183,15 +194,39 @@ impl<V: F32x8> Broadcast<V> {
         }
     }
 
-    /// (dx, dy, p) at the pixels of a block.
+    /// (dx, dy) at the pixels of a block.
     #[inline(always)]
-    pub fn exponent(&self, block: usize) -> (V, V, V) {
-        let dx = V::load(&OFFSETS.x[block]) - self.mean[0];
-        let dy = V::load(&OFFSETS.y[block]) - self.mean[1];
+    pub fn offset(&self, block: usize) -> (V, V) {
+        (V::load(&OFFSETS.x[block]) - self.mean[0], V::load(&OFFSETS.y[block]) - self.mean[1])
+    }
+
+    /// α at the pixels of a block, clamped only where `CLAMP` says that it can be necessary.
+    #[inline(always)]
+    pub fn alpha<const CLAMP: bool>(&self, block: usize) -> V {
+        let (dx, dy) = self.offset(block);
         let linear = self.b.mul_add(dy, self.a * dx);
         let constant = (self.c * dy).mul_add(dy, self.log2_opacity);
-        (dx, dy, linear.mul_add(dx, constant))
+        let p = linear.mul_add(dx, constant);
+        let alpha = if CLAMP { p.exp2().min(V::splat(ALPHA_MAX)) } else { p.exp2() };
+        // The test is on the exponent: far from the mean, 2^p wraps.
+        alpha.and(p.ge(V::splat(LOG2_ALPHA_MIN)))
     }
+}
+
+/// Can α reach its clamp?
+#[inline(always)]
+pub(super) fn clamps(splat: &Splat) -> bool {
+    splat.log2_opacity >= LOG2_ALPHA_MAX
+}
+
+/// The numbers of the blocks in a mask.
+#[inline(always)]
+pub(super) fn blocks(mut mask: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let block = mask.trailing_zeros() as usize;
+        mask &= mask.wrapping_sub(1);
+        (block < TILE_BLOCKS).then_some(block)
+    })
 }
 
 #[inline(always)]
@@ -208,28 +243,42 @@ fn draw_tile<V: F32x8, const DEPTH: bool>(
             alive = still_alive::<V>(tile, alive);
         }
         *mask &= alive;
-        let mut blocks = *mask;
-        if blocks == 0 {
+        if *mask == 0 {
             continue;
         }
         let splat = &splats[g as usize];
-        let s = Broadcast::<V>::new(splat, origin);
-        let depth = V::splat(splat.depth);
-        while blocks != 0 {
-            let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-            blocks &= blocks - 1;
-            let (_, _, p) = s.exponent(block);
-            // The test is on the exponent: far from the mean, 2^p wraps.
-            let alpha = p.exp2().min(V::splat(ALPHA_MAX)).and(p.ge(V::splat(LOG2_ALPHA_MIN)));
-            let t = V::load(&tile.transmittance[block]);
-            let w = alpha * t;
-            (t - w).store(&mut tile.transmittance[block]);
-            w.mul_add(s.color[0], V::load(&tile.red[block])).store(&mut tile.red[block]);
-            w.mul_add(s.color[1], V::load(&tile.green[block])).store(&mut tile.green[block]);
-            w.mul_add(s.color[2], V::load(&tile.blue[block])).store(&mut tile.blue[block]);
-            if DEPTH {
-                w.mul_add(depth, V::load(&tile.depth[block])).store(&mut tile.depth[block]);
-            }
+        if clamps(splat) {
+            draw_pair::<V, DEPTH, true>(splat, origin, *mask, tile);
+        } else {
+            draw_pair::<V, DEPTH, false>(splat, origin, *mask, tile);
+        }
+    }
+}
+
+/// One splat on one tile. First all α, then all blending: in one loop the chain of dependent
+/// instructions is so long that the processor's registers run out before its units are busy.
+#[inline(always)]
+fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
+    splat: &Splat,
+    origin: [f32; 2],
+    mask: u64,
+    tile: &mut Tile,
+) {
+    let s = Broadcast::<V>::new(splat, origin);
+    let depth = V::splat(splat.depth);
+    for (block, alpha) in blocks(mask).zip(&mut tile.alpha) {
+        s.alpha::<CLAMP>(block).store(alpha);
+    }
+    for (block, alpha) in blocks(mask).zip(&tile.alpha) {
+        let state = &mut tile.blocks[block];
+        let t = V::load(&state.transmittance);
+        let w = V::load(alpha) * t;
+        (t - w).store(&mut state.transmittance);
+        for (sum, color) in state.color.iter_mut().zip(s.color) {
+            w.mul_add(color, V::load(sum)).store(sum);
+        }
+        if DEPTH {
+            w.mul_add(depth, V::load(&state.depth)).store(&mut state.depth);
         }
     }
 }
@@ -238,11 +287,8 @@ fn draw_tile<V: F32x8, const DEPTH: bool>(
 #[inline(always)]
 fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
     let mut still = alive;
-    let mut blocks = alive;
-    while blocks != 0 {
-        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-        blocks &= blocks - 1;
-        if V::load(&tile.transmittance[block]).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
+    for block in blocks(alive) {
+        if V::load(&tile.blocks[block].transmittance).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
             still &= !(1 << block);
         }
     }
@@ -252,34 +298,38 @@ fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
 impl Band<'_> {
     /// Blocks → rows of the image, background added.
     #[inline(always)]
-    fn store(&mut self, column: usize, tile: &Tile) {
+    fn store<V: F32x8>(&mut self, column: usize, tile: &Tile) {
         let width = self.view.width;
-        let left = column * TILE_WIDTH;
-        let columns = TILE_WIDTH.min(width - left);
         let rows = self.transmittance.len() / width;
-        for y in 0..rows.min(TILE_HEIGHT) {
-            let at = y * width + left;
-            let first = y / BLOCK_HEIGHT * (TILE_WIDTH / BLOCK_WIDTH);
-            let lane = y % BLOCK_HEIGHT * BLOCK_WIDTH;
-            let line = |plane: &[[f32; 8]; TILE_BLOCKS]| -> [f32; TILE_WIDTH] {
-                let mut out = [0.0; TILE_WIDTH];
-                for (b, part) in out.chunks_exact_mut(BLOCK_WIDTH).enumerate() {
-                    part.copy_from_slice(&plane[first + b][lane..lane + BLOCK_WIDTH]);
+        for (b, state) in tile.blocks.iter().enumerate() {
+            let x = column * TILE_WIDTH + b % BLOCK_COLUMNS * BLOCK_WIDTH;
+            let y = b / BLOCK_COLUMNS * BLOCK_HEIGHT;
+            if x >= width || y >= rows {
+                continue;
+            }
+            let put = |values: V, plane: &mut [f32]| {
+                let lines = values.to_array();
+                for (line, y) in lines.chunks_exact(BLOCK_WIDTH).zip(y..rows) {
+                    copy_line(line, &mut plane[y * width + x..(y + 1) * width]);
                 }
-                out
             };
-            let t = line(&tile.transmittance);
-            self.transmittance[at..at + columns].copy_from_slice(&t[..columns]);
-            for (c, plane) in [&tile.red, &tile.green, &tile.blue].into_iter().enumerate() {
-                let mut values = line(plane);
-                for (v, t) in values.iter_mut().zip(&t) {
-                    *v += t * self.background[c];
-                }
-                self.color[c][at..at + columns].copy_from_slice(&values[..columns]);
+            let t = V::load(&state.transmittance);
+            put(t, self.transmittance);
+            for (c, plane) in self.color.iter_mut().enumerate() {
+                put(t.mul_add(V::splat(self.background[c]), V::load(&state.color[c])), plane);
             }
             if let Some(depth) = &mut self.depth {
-                depth[at..at + columns].copy_from_slice(&line(&tile.depth)[..columns]);
+                put(V::load(&state.depth), depth);
             }
         }
+    }
+}
+
+/// Copies a line of a block to or from the image, as much of it as both hold.
+#[inline(always)]
+pub(super) fn copy_line(from: &[f32], to: &mut [f32]) {
+    match (from.first_chunk::<BLOCK_WIDTH>(), to.first_chunk_mut::<BLOCK_WIDTH>()) {
+        (Some(from), Some(to)) => *to = *from,
+        _ => from.iter().zip(to).for_each(|(f, t)| *t = *f),
     }
 }

@@ -11,8 +11,8 @@
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
-use super::rasterize::Broadcast;
-use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
+use super::rasterize::{Broadcast, blocks, clamps};
+use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{PairGradient, Pairs, Splat, View};
 
@@ -51,14 +51,30 @@ struct TileBackward<'a> {
     out: &'a mut [PairGradient],
 }
 
-/// State of a tile, a vector a block.
-#[repr(C, align(64))]
-struct Tile {
-    transmittance: [[f32; 8]; TILE_BLOCKS],
+/// What the backward pass knows of a block of eight pixels. Together, for the reason that the
+/// forward pass has.
+#[derive(Clone, Copy)]
+#[repr(C, align(32))]
+struct BlockState {
+    transmittance: [f32; 8],
     /// R.
-    remaining: [[f32; 8]; TILE_BLOCKS],
+    remaining: [f32; 8],
     /// G.
-    gradient: [[[f32; 8]; 3]; TILE_BLOCKS],
+    gradient: [[f32; 8]; 3],
+}
+
+/// State of a tile.
+struct Tile {
+    blocks: [BlockState; TILE_BLOCKS],
+    /// α and α/(1 − α) of one splat, by place in its list of blocks.
+    alpha: [[[f32; 8]; 2]; TILE_BLOCKS],
+}
+
+impl Tile {
+    const EMPTY: Self = Self {
+        blocks: [BlockState { transmittance: [1.0; 8], remaining: [0.0; 8], gradient: [[0.0; 8]; 3] }; TILE_BLOCKS],
+        alpha: [[[0.0; 8]; 2]; TILE_BLOCKS],
+    };
 }
 
 impl Kernel for TileBackward<'_> {
@@ -70,19 +86,18 @@ impl Kernel for TileBackward<'_> {
         }
         let (column, row) = (self.tile % self.view.tiles_x(), self.tile / self.view.tiles_x());
         let origin = [(column * TILE_WIDTH) as f32, (row * TILE_HEIGHT) as f32];
-        let mut tile = Tile {
-            transmittance: [[1.0; 8]; TILE_BLOCKS],
-            remaining: [[0.0; 8]; TILE_BLOCKS],
-            gradient: [[[0.0; 8]; 3]; TILE_BLOCKS],
-        };
+        let mut tile = Tile::EMPTY;
         self.load::<V>(column, row, &mut tile);
         for ((&g, &mask), out) in self.gaussian.iter().zip(self.mask).zip(self.out) {
-            *out = if mask == 0 {
-                [0.0; 9]
-            } else {
-                let splat = Broadcast::<V>::new(&self.splats[g as usize], origin);
-                pair_gradient(&splat, mask, &mut tile)
-            };
+            *out = [0.0; 9];
+            if mask != 0 {
+                let splat = &self.splats[g as usize];
+                *out = if clamps(splat) {
+                    pair_gradient::<V, true>(splat, origin, mask, &mut tile)
+                } else {
+                    pair_gradient::<V, false>(splat, origin, mask, &mut tile)
+                };
+            }
         }
     }
 }
@@ -100,6 +115,7 @@ impl TileBackward<'_> {
                 continue;
             }
             let columns = BLOCK_WIDTH.min(width - x);
+            let state = &mut tile.blocks[block];
             let mut remaining = V::zero();
             for c in 0..3 {
                 let mut color = [0.0; 8];
@@ -107,11 +123,11 @@ impl TileBackward<'_> {
                     let at = c * n + (y + line) * width + x;
                     let lane = line * BLOCK_WIDTH;
                     copy(&self.color[at..at + columns], &mut color[lane..lane + BLOCK_WIDTH]);
-                    copy(&self.gradient[at..at + columns], &mut tile.gradient[block][c][lane..lane + BLOCK_WIDTH]);
+                    copy(&self.gradient[at..at + columns], &mut state.gradient[c][lane..lane + BLOCK_WIDTH]);
                 }
-                remaining = V::load(&color).mul_add(V::load(&tile.gradient[block][c]), remaining);
+                remaining = V::load(&color).mul_add(V::load(&state.gradient[c]), remaining);
             }
-            remaining.store(&mut tile.remaining[block]);
+            remaining.store(&mut state.remaining);
         }
     }
 }
@@ -127,33 +143,41 @@ fn copy(from: &[f32], to: &mut [f32]) {
 
 /// The nine sums of one splat over the blocks in `mask`; advances the tile's state past it.
 #[inline(always)]
-fn pair_gradient<V: F32x8>(s: &Broadcast<V>, mask: u64, tile: &mut Tile) -> PairGradient {
+fn pair_gradient<V: F32x8, const CLAMP: bool>(
+    splat: &Splat,
+    origin: [f32; 2],
+    mask: u64,
+    tile: &mut Tile,
+) -> PairGradient {
+    let s = Broadcast::<V>::new(splat, origin);
+    for (block, [alpha, odds]) in blocks(mask).zip(&mut tile.alpha) {
+        let a = s.alpha::<CLAMP>(block);
+        a.store(alpha);
+        (a / (V::splat(1.0) - a)).store(odds);
+    }
     let mut color = [V::zero(); 3];
     let mut moment = [V::zero(); 6];
-    let mut blocks = mask;
-    while blocks != 0 {
-        let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-        blocks &= blocks - 1;
-        let (dx, dy, p) = s.exponent(block);
-        let drawn = p.ge(V::splat(LOG2_ALPHA_MIN));
-        let raw = p.exp2();
-        let alpha = raw.min(V::splat(ALPHA_MAX)).and(drawn);
-        let t = V::load(&tile.transmittance[block]);
+    for (block, [alpha, odds]) in blocks(mask).zip(&tile.alpha) {
+        let state = &mut tile.blocks[block];
+        let alpha = V::load(alpha);
+        let t = V::load(&state.transmittance);
         let w = alpha * t;
-        (t - w).store(&mut tile.transmittance[block]);
+        (t - w).store(&mut state.transmittance);
 
-        let gradient = &tile.gradient[block];
-        let (red, green, blue) = (V::load(&gradient[0]), V::load(&gradient[1]), V::load(&gradient[2]));
+        let [red, green, blue] = &state.gradient;
+        let (red, green, blue) = (V::load(red), V::load(green), V::load(blue));
         color[0] = w.mul_add(red, color[0]);
         color[1] = w.mul_add(green, color[1]);
         color[2] = w.mul_add(blue, color[2]);
         let dot = s.color[2].mul_add(blue, s.color[1].mul_add(green, s.color[0] * red));
         let u = w * dot;
-        let remaining = V::load(&tile.remaining[block]) - u;
-        remaining.store(&mut tile.remaining[block]);
+        let remaining = V::load(&state.remaining) - u;
+        remaining.store(&mut state.remaining);
 
-        let g = u - remaining * alpha / (V::splat(1.0) - alpha);
-        let g = g.and(V::splat(ALPHA_MAX).ge(raw)).and(drawn);
+        // Where nothing is drawn, u and the odds are zero, and so is this.
+        let g = u - remaining * V::load(odds);
+        let g = if CLAMP { g.and(V::splat(ALPHA_MAX).gt(alpha)) } else { g };
+        let (dx, dy) = s.offset(block);
         let (gx, gy) = (g * dx, g * dy);
         moment[0] = moment[0] + g;
         moment[1] = moment[1] + gx;
