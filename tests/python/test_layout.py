@@ -98,10 +98,12 @@ def test_arrows_between_crates_run_downward(crate: str, allowed: set[str]):
 
 
 def test_vector_intrinsics_and_unsafe_are_confined():
-    """`unsafe` stands only where a SIMD level is entered, never in the bindings or the world."""
+    """`unsafe` stands only where a SIMD level is entered, and once where an array's memory is lent."""
     for crate in ("fuse-camera", "fuse-env", "fuse-py"):
         for path in rust_files(crate):
-            assert not re.search(r"\bunsafe\s*(\{|fn|impl)", path.read_text()), path.relative_to(ROOT)
+            found = re.findall(r"\bunsafe\s*(?:\{|fn|impl)", path.read_text())
+            lent = path == CRATES / "fuse-py/src/array.rs"
+            assert len(found) == int(lent), path.relative_to(ROOT)
 
 
 def test_files_stay_readable():
