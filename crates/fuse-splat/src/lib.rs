@@ -9,11 +9,13 @@
 
 #![allow(clippy::needless_range_loop, reason = "kernels index fixed axes, to be read beside their formulas")]
 
+mod bytes;
 mod config;
 pub mod constants;
 mod cpu;
 mod densify;
 mod error;
+mod files;
 mod gaussians;
 mod nearest;
 mod ply;
