@@ -8,8 +8,13 @@ pub(crate) mod vertices;
 use std::path::Path;
 
 use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, REST_PER_CHANNEL, ROTATION, SCALE};
+use crate::gaussians::logit;
 use crate::{Gaussians, SplatError, files};
 use vertices::Vertices;
+
+/// What stands for an opacity of 0, and one less it for 1: they have no finite logit. Half a grey
+/// level.
+pub(crate) const ALPHA_EDGE: f32 = 0.5 / 255.0;
 
 /// Name and row (`None`: a normal, zero) of each property, in file order, with `rest` harmonics
 /// beyond the constant one for each colour.
@@ -59,7 +64,9 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Gaussians, String> {
     };
     let (names, rows): (Vec<_>, Vec<_>) =
         properties(rest).into_iter().filter_map(|(name, row)| row.map(|r| (name, r))).unzip();
-    let read = vertices.read(&names, "the 3DGS layout (x, y, z, f_dc_0 … 2, f_rest_…, opacity, scale_…, rot_…)")?;
+    // Converters from formats of 8 bits write an infinite logit for an opacity of 0 or 1.
+    let read =
+        vertices.read(&names, "opacity", "the 3DGS layout (x, y, z, f_dc_0 … 2, f_rest_…, opacity, scale_…, rot_…)")?;
     if read.is_empty() {
         return Err("the file has no vertices, expected at least one Gaussian".into());
     }
@@ -67,6 +74,9 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Gaussians, String> {
         let mut v = [0.0; PARAMETERS];
         for (row, value) in rows.iter().zip(values) {
             v[*row] = *value;
+        }
+        if v[OPACITY].is_infinite() {
+            v[OPACITY] = logit(ALPHA_EDGE).copysign(v[OPACITY]);
         }
         v
     };
@@ -152,6 +162,17 @@ mod tests {
         let mut bad = some();
         bad.set(1, OPACITY, f32::NAN);
         assert_eq!(decode(&encode(&bad)).unwrap_err(), "`opacity` of vertex 1 is NaN, expected a finite number");
+    }
+
+    #[test]
+    fn opacities_of_zero_and_one_are_read() {
+        let mut g = some();
+        g.set(0, OPACITY, f32::INFINITY);
+        g.set(1, OPACITY, f32::NEG_INFINITY);
+        let read = decode(&encode(&g)).unwrap();
+        assert!((read.opacity(0) - 1.0).abs() < 0.01 && read.opacity(1) < 0.01);
+        g.set(2, OPACITY + 1, f32::INFINITY);
+        assert!(decode(&encode(&g)).unwrap_err().contains("`f_dc_0` of vertex 2 is inf"));
     }
 
     #[test]

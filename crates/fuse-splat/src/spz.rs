@@ -13,6 +13,7 @@ use flate2::read::{GzDecoder, GzEncoder};
 
 use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, REST_PER_CHANNEL, ROTATION, SCALE};
 use crate::gaussians::logit;
+use crate::ply::ALPHA_EDGE;
 use crate::{Gaussians, SplatError, files};
 
 const MAGIC: u32 = 0x5053_474e;
@@ -28,8 +29,6 @@ const FIXED_MAX: f32 = 8_388_607.0;
 const COLOR_SCALE: f32 = 0.15 * 255.0;
 /// Deflate never shrinks by more than about 1032; a larger promise is false.
 const RATIO_MAX: u64 = 1100;
-/// Opacities of 0 and 1 have no logit: half a grey level from either end.
-const ALPHA_EDGE: f32 = 0.5 / 255.0;
 
 /// Signs of the harmonics beyond the constant one when y and z change theirs.
 const SH_SIGNS: [f32; REST_PER_CHANNEL] =

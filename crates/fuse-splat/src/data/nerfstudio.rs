@@ -196,7 +196,7 @@ fn points(bytes: &[u8]) -> Result<Points, String> {
     let colored = vertices.has("red");
     let names = ["x", "y", "z", "red", "green", "blue"].map(String::from);
     let wanted = if colored { &names[..] } else { &names[..3] };
-    let rows = vertices.read(wanted, "points with x, y, z, and red, green, blue where there is one of them")?;
+    let rows = vertices.read(wanted, "", "points with x, y, z, and red, green, blue where there is one of them")?;
     let xyz = rows.iter().map(|r| [r[0], r[1], r[2]]).collect();
     let grey = |v: f32| (v / 255.0).clamp(0.0, 1.0);
     let rgb = rows.iter().map(|r| if colored { [r[3], r[4], r[5]].map(grey) } else { [0.5; 3] }).collect();

@@ -158,10 +158,11 @@ impl<'a> Vertices<'a> {
         }
     }
 
-    /// The named properties of each vertex, one row a vertex, each checked to be finite.
+    /// The named properties of each vertex, one row a vertex, each checked to be finite; `unbounded`
+    /// names one that may be infinite.
     ///
     /// `expected` says in words what a file with these properties is.
-    pub fn read(&self, names: &[String], expected: &str) -> Result<Vec<Vec<f32>>, String> {
+    pub fn read(&self, names: &[String], unbounded: &str, expected: &str) -> Result<Vec<Vec<f32>>, String> {
         let mut wanted = Vec::with_capacity(names.len());
         for name in names {
             let index = self.properties.iter().position(|p| &p.name == name);
@@ -172,7 +173,8 @@ impl<'a> Vertices<'a> {
             Format::Little | Format::Big => self.read_binary(&wanted),
         };
         for (i, row) in rows.iter().enumerate() {
-            if let Some(bad) = row.iter().position(|v| !v.is_finite()) {
+            let bad = |(name, v): (&String, &f32)| v.is_nan() || (v.is_infinite() && name != unbounded);
+            if let Some(bad) = names.iter().zip(row).position(bad) {
                 return Err(format!("`{}` of vertex {i} is {}, expected a finite number", names[bad], row[bad]));
             }
         }
