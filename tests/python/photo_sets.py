@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pycolmap
+from tabletop_twin import Face
 
 from fuse_grounding._core import Camera
-from tabletop_twin import Face
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,7 @@ class PhotoSet:
         one = self.cameras[0]
         made = pycolmap.Reconstruction()
         values = params if params is not None else [one.fx, one.fy, one.cx, one.cy]
-        camera = pycolmap.Camera(
-            camera_id=3, model=model, width=one.width, height=one.height, params=values
-        )
+        camera = pycolmap.Camera(camera_id=3, model=model, width=one.width, height=one.height, params=values)
         made.add_camera(camera)
         rig = pycolmap.Rig(rig_id=1)
         rig.add_ref_sensor(camera.sensor_id)
@@ -48,9 +46,7 @@ class PhotoSet:
             view = self.cameras[i]
             matrix = np.hstack([view.rotation, view.translation[:, None]])
             observed = np.array([[1.5, 2.5], [7.0, 3.0]])
-            image = pycolmap.Image(
-                name=self.names[i], keypoints=observed, camera_id=3, image_id=900 - i
-            )
+            image = pycolmap.Image(name=self.names[i], keypoints=observed, camera_id=3, image_id=900 - i)
             frame = pycolmap.Frame(frame_id=image.image_id, rig_id=1)
             frame.add_data_id(image.data_id)
             frame.rig_from_world = pycolmap.Rigid3d(matrix)

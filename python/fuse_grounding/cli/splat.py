@@ -109,11 +109,16 @@ def _find_poses(data: Path, wanted: bool, console: Console) -> None:
     found = f"{data} has no poses (sparse/0/cameras.bin or .txt, transforms.json)"
     if not names:
         raise InputError(f"{found} and no photos (JPEG, PNG)")
-    if not wanted and sys.stdin.isatty() and sys.stderr.isatty():
+    if not wanted and _asks():
         wanted = typer.confirm(f"{found}. Run COLMAP on the {len(names)} photos in {root}?", err=True)
     if not wanted:
         raise InputError(f"{found}; --colmap finds them for the {len(names)} photos in {root}")
     photos.find_poses(data, lambda text: console.print(f"COLMAP: {text}"))
+
+
+def _asks() -> bool:
+    """Whether somebody is there to answer."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def _bar(console: Console) -> Progress:

@@ -65,10 +65,9 @@ def find_poses(folder: Path, told: Callable[[str], None], seed: int = 0) -> int:
         target = folder / "sparse" / "0"
         target.parent.mkdir(exist_ok=True)
         shutil.move(made, target)
-    told(
-        f"{best.num_reg_images()} of {len(names)} photos have poses, {best.num_points3D()} points, in {target}"
-    )
-    return best.num_reg_images()
+    registered = best.num_reg_images()
+    told(f"{registered} of {len(names)} photos have poses, {best.num_points3D()} points, in {target}")
+    return registered
 
 
 def _one_size(root: Path, names: list[str]) -> bool:

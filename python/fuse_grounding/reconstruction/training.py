@@ -125,7 +125,7 @@ class Training:
             )
         self._trainer = Trainer(Gaussians.from_points(xyz, rgb), options.config())
         for image, camera in dataset.read(
-            dataset.train, lambda n: told(f"{n} of {len(dataset.train)} photos")
+            dataset.train, lambda n: told(f"read {n} of {len(dataset.train)} photos")
         ):
             self._trainer.add_view(image, camera)
         self._held_out = list(dataset.read(dataset.held_out))

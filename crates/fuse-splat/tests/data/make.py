@@ -15,11 +15,13 @@ sys.path.insert(0, str(HERE.parents[3] / "tests" / "python"))
 import tabletop_twin as twin  # noqa: E402
 from photo_sets import PhotoSet, sample_points  # noqa: E402
 
-NAMES = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
-NAMES += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+NAMES = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3))]
+NAMES += [*(f"f_rest_{i}" for i in range(45)), "opacity"]
+NAMES += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 
 def gaussians(count: int) -> None:
+    """Random ones, in three formats."""
     rng = np.random.default_rng(11)
     vertex = np.zeros(count, [(name, "f4") for name in NAMES])
     for name in NAMES:
@@ -33,6 +35,7 @@ def gaussians(count: int) -> None:
 
 
 def photo_sets() -> None:
+    """Three views, in three forms."""
     faces = twin.scene(5)
     xyz, rgb = sample_points(faces, 12)
     cameras = [twin.camera(node, 1).resized(32, 24) for node in (0, 2, 4)]
