@@ -62,14 +62,14 @@ def _camera(entry: Any, where: str) -> Camera:
 def orbit(dataset: Dataset, frames: int) -> list[Camera]:
     """A circle around what the data set's cameras look at, at their mean distance and height.
 
-    The axis is the cameras' mean up direction; the intrinsics are those of the first view.
+    The axis is upright where the cameras were held level; the intrinsics are those of the first view.
     """
     if frames < 1:
         raise InputError(f"an orbit needs at least one frame, found {frames}")
     views = [dataset.camera(i) for i in range(len(dataset.names))]
     centers = np.array([v.center for v in views])
     forwards = np.array([v.rotation[2] for v in views])
-    up = _unit(-np.mean([v.rotation[1] for v in views], axis=0))
+    up = _up(views)
     # The point nearest to all optical axes; parallel ones meet nowhere.
     across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
     matrix = across.sum(0)
@@ -85,6 +85,16 @@ def orbit(dataset: Dataset, frames: int) -> list[Camera]:
     angles = 2 * np.pi * np.arange(frames) / frames
     eyes = [target + height * up + radius * (np.cos(a) * first + np.sin(a) * side) for a in angles]
     return [_look_at(eye, target, up, like) for eye in eyes]
+
+
+def _up(views: list[Camera]) -> np.ndarray:
+    """What is perpendicular to all cameras' right: a camera that looks down has its own up tilted."""
+    mean = _unit(-np.mean([v.rotation[1] for v in views], axis=0))
+    rights = np.array([v.rotation[0] for v in views])
+    values, vectors = np.linalg.eigh(rights.T @ rights / len(views))
+    if values[1] < 0.02:
+        return mean  # all look in one direction, which says nothing about the axis
+    return vectors[:, 0] * (1.0 if vectors[:, 0] @ mean > 0 else -1.0)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
