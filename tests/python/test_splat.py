@@ -83,7 +83,8 @@ def test_a_ply_of_another_writer_is_read(tmp_path) -> None:
         other[name] = data[name]
     plyfile.PlyData([plyfile.PlyElement.describe(other, "vertex")], byte_order="<").write(tmp_path / "b.ply")
     assert np.array_equal(splat.Gaussians.from_ply(tmp_path / "b.ply").parameters, gaussians.parameters)
-    for name, form in {"ascii": {"text": True}, "big": {"byte_order": ">"}}.items():
+    forms: dict[str, dict[str, Any]] = {"ascii": {"text": True}, "big": {"byte_order": ">"}}
+    for name, form in forms.items():
         file = plyfile.PlyData([plyfile.PlyElement.describe(data, "vertex")], **form)
         file.write(str(tmp_path / f"{name}.ply"))
         assert np.array_equal(
@@ -144,7 +145,7 @@ def test_parameters_are_shared_and_read_only() -> None:
 
 def test_ssim_is_that_of_the_formula() -> None:
     rng = np.random.default_rng(3)
-    a = cv2.GaussianBlur(rng.integers(0, 256, (60, 80, 3), dtype=np.uint8), (0, 0), 2)
+    a = np.asarray(cv2.GaussianBlur(rng.integers(0, 256, (60, 80, 3), dtype=np.uint8), (0, 0), 2), np.uint8)
     b = np.clip(a + rng.normal(0, 12, a.shape), 0, 255).astype(np.uint8)
 
     def blur(image: np.ndarray) -> np.ndarray:

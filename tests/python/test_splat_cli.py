@@ -40,6 +40,12 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return status, captured.out, captured.err
 
 
+def read(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path))
+    assert image is not None
+    return image
+
+
 def test_train_measure_draw_convert(capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path):
     out, preview = tmp_path / "map.ply", tmp_path / "preview.png"
     status, text, _ = run(
@@ -50,7 +56,7 @@ def test_train_measure_draw_convert(capsys: pytest.CaptureFixture[str], data: Pa
     assert (trained["train_views"], trained["held_out_views"], trained["downscale"]) == (8, 2, 1)
     assert trained["gaussians"] == len(Gaussians.from_ply(out))
     assert not training.checkpoint_of(out).exists()
-    picture = cv2.imread(str(preview))
+    picture = read(preview)
     assert picture.shape == (96, 256, 3)
     left, right = np.split(picture.astype(float), 2, axis=1)
     assert 10 * np.log10(255**2 / np.mean((left - right) ** 2)) > 20
@@ -77,14 +83,14 @@ def test_train_measure_draw_convert(capsys: pytest.CaptureFixture[str], data: Pa
 
     drawn = tmp_path / "view.png"
     assert run(capsys, "render", out, "--data", data, "--view", "view 008.png", "--out", drawn)[0] == 0
-    photo = cv2.imread(str(data / "images" / "view 008.png")).astype(float)
-    error = np.mean((photo - cv2.imread(str(drawn))) ** 2)
+    photo = read(data / "images" / "view 008.png").astype(float)
+    error = np.mean((photo - read(drawn)) ** 2)
     assert 10 * np.log10(255**2 / error) == pytest.approx(measured["views"][1]["psnr"], abs=1e-3)
     one = tmp_path / "camera.json"
     one.write_text(json.dumps(cameras.to_json(Dataset(data).camera(8))))
     again = tmp_path / "again.png"
     assert run(capsys, "render", out, "--camera", one, "--out", again)[0] == 0
-    assert np.array_equal(cv2.imread(str(again)), cv2.imread(str(drawn)))
+    assert np.array_equal(read(again), read(drawn))
     frames = tmp_path / "frames"
     assert run(capsys, "render", out, "--data", data, "--orbit", "3", "--out", frames)[0] == 0
     assert sorted(p.name for p in frames.iterdir()) == ["00000.png", "00001.png", "00002.png"]

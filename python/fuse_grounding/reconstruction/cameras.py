@@ -50,11 +50,11 @@ def _camera(entry: Any, where: str) -> Camera:
     try:
         rotation = np.array(entry["rotation"], dtype=np.float64)
         translation = np.array(entry["translation"], dtype=np.float64)
-        size = [int(entry[name]) for name in ("width", "height")]
-        numbers = [float(entry[name]) for name in ("fx", "fy", "cx", "cy")]
+        width, height = (int(entry[name]) for name in ("width", "height"))
+        fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
         if rotation.shape != (3, 3) or translation.shape != (3,):
             raise ValueError(f"rotation has shape {rotation.shape}, translation {translation.shape}")
-        return Camera(size[0], size[1], *numbers, rotation, translation)
+        return Camera(width, height, fx, fy, cx, cy, rotation, translation)
     except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from None
 

@@ -46,14 +46,14 @@ def find_poses(folder: Path, told: Callable[[str], None], seed: int = 0) -> int:
     pycolmap.set_random_seed(seed)
     mode = pycolmap.CameraMode.SINGLE if _one_size(root, names) else pycolmap.CameraMode.PER_IMAGE
     with tempfile.TemporaryDirectory(prefix=".colmap-", dir=folder) as work:
-        database = Path(work) / "database.db"
+        database, images = str(Path(work) / "database.db"), str(root)
         told(f"features of {len(names)} photos")
-        pycolmap.extract_features(database, root, names, camera_mode=mode, camera_model="SIMPLE_RADIAL")
+        pycolmap.extract_features(database, images, names, camera_mode=mode, camera_model="SIMPLE_RADIAL")
         pairs = len(names) * (len(names) - 1) // 2
         told(f"matching {pairs} pairs" + (", which takes a while" if len(names) > _MANY else ""))
         pycolmap.match_exhaustive(database)
         told("poses and points")
-        models = pycolmap.incremental_mapping(database, root, work)
+        models = pycolmap.incremental_mapping(database, images, work)
         if not models:
             raise FuseError(
                 f"COLMAP found no poses for the photos in {root}; they need overlap, texture and parallax"
@@ -61,7 +61,7 @@ def find_poses(folder: Path, told: Callable[[str], None], seed: int = 0) -> int:
         best = max(models.values(), key=lambda m: m.num_reg_images())
         made = Path(work) / "model"
         made.mkdir()
-        best.write_binary(made)
+        best.write_binary(str(made))
         target = folder / "sparse" / "0"
         target.parent.mkdir(exist_ok=True)
         shutil.move(made, target)
