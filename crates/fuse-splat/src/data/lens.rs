@@ -9,6 +9,8 @@ use fuse_camera::Pinhole;
 
 /// How far the image may be enlarged or reduced to leave out what the photo does not show.
 const ZOOM: [f64; 2] = [0.5, 4.0];
+/// Each side is checked at so many places to lie within the photo.
+const BORDER: u32 = 128;
 /// The distortion is checked to be one-to-one at so many places along each side.
 const CHECKS: u32 = 24;
 
@@ -153,7 +155,7 @@ impl Lens {
         Ok(zoomed(high))
     }
 
-    /// Whether every pixel of the undistorted image lies within the photo, between the centres of
+    /// Whether the undistorted image's border, hence every pixel, lies within the photo, between the centres of
     /// its outermost pixels, and the distortion has an inverse there.
     fn covers(&self, pinhole: &Pinhole, undistorted: &Pinhole) -> bool {
         let (w, h) = (f64::from(pinhole.width), f64::from(pinhole.height));
@@ -162,9 +164,11 @@ impl Lens {
             // Pixels outermost in the photo have their centre half a pixel inside.
             (0.5..=w - 0.5).contains(&su) && (0.5..=h - 0.5).contains(&sv)
         };
-        let edge = |n: u32| (0..n).map(|i| f64::from(i) + 0.5);
-        let border = edge(pinhole.width).all(|u| inside(u, 0.5) && inside(u, h - 0.5))
-            && edge(pinhole.height).all(|v| inside(0.5, v) && inside(w - 0.5, v));
+        // Along a side the distortion is smooth: its extremes lie between so many places to far less
+        // than a pixel.
+        let edge = |side: f64| (0..=BORDER).map(move |i| 0.5 + (side - 1.0) * f64::from(i) / f64::from(BORDER));
+        let border = edge(w).all(|u| inside(u, 0.5) && inside(u, h - 0.5))
+            && edge(h).all(|v| inside(0.5, v) && inside(w - 0.5, v));
         border
             && (0..=CHECKS).all(|i| {
                 (0..=CHECKS).all(|j| {
