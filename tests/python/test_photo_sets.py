@@ -293,3 +293,22 @@ def test_options_out_of_range(photos: PhotoSet, tmp_path: Path):
         Dataset(tmp_path).index("nine")
     with pytest.raises(InputError, match="view 9 does not exist, there are 9"):
         Dataset(tmp_path)._inner.camera(9, 1)
+
+
+def test_large_photos_are_made_smaller_unless_told_otherwise(
+    photos: PhotoSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    photos.write_colmap(tmp_path)
+    monkeypatch.setattr("fuse_grounding.reconstruction.dataset.LONGEST_SIDE", 40)
+    assert (Dataset(tmp_path).downscale, Dataset(tmp_path).camera(0).width) == (3, 32)
+    assert Dataset(tmp_path, downscale=1).camera(0).width == 96
+
+
+def test_a_training_beyond_the_free_memory_is_refused(
+    photos: PhotoSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    data = Dataset(photos.write_colmap(tmp_path))
+    data.check_memory()
+    monkeypatch.setattr("fuse_grounding.reconstruction.dataset._free_memory", lambda: 1_500_000)
+    with pytest.raises(InputError, match=r"7 training views take 0\.0 GB, .*; --downscale 2 or more"):
+        data.check_memory()

@@ -20,7 +20,7 @@ use damage::Damage;
 
 /// Damages of one file, and the time after which no more are made.
 const DAMAGES: u32 = 20_000;
-const TIME: Duration = Duration::from_secs(2);
+const TIME: Duration = Duration::from_secs(1);
 /// Bytes that reading one damaged file, of a few kilobytes, may hold at a time.
 const MEMORY: usize = 8 << 20;
 
