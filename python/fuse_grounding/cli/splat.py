@@ -29,7 +29,7 @@ DownscaleOption = Annotated[
     typer.Option(min=1, help="Photos so many times smaller; default: until 1600 pixels a side suffice."),
 ]
 HoldoutOption = Annotated[
-    int, typer.Option(min=0, help="Every so-manieth view by file name is held out; 0: none.")
+    int, typer.Option(min=0, help="Every N-th view by file name is held out; 0: none.", metavar="N")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
@@ -45,7 +45,9 @@ def train(
     holdout: HoldoutOption = 8,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same map.")] = 0,
     max_gaussians: Annotated[int, typer.Option(min=1, help="No more are made.")] = _DEFAULTS.max_gaussians,
-    resume: Annotated[bool, typer.Option(help="Continue an interrupted training, bit for bit.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted training, bit for bit.")
+    ] = False,
     preview: Annotated[Path | None, typer.Option(help="PNG, renewed on the way: photo | rendering.")] = None,
     checkpoint_every: Annotated[
         int, typer.Option(min=0, help="Iterations between checkpoints; 0: when interrupted only.")
@@ -75,14 +77,12 @@ def train(
         task = bar.add_task("train", total=iterations, loss="", count="", psnr="")
 
         def report(progress: training.Progress) -> None:
+            at = progress.iteration
+            loss, count = f"loss {progress.loss:.4f}", f"{progress.gaussians} Gaussians"
             psnr = "" if progress.psnr is None else f"held out {progress.psnr:.2f} dB"
-            bar.update(
-                task,
-                completed=progress.iteration,
-                loss=f"loss {progress.loss:.4f}",
-                count=f"{progress.gaussians} Gaussians",
-                psnr=psnr,
-            )
+            bar.update(task, completed=at, loss=loss, count=count, psnr=psnr)
+            if not console.is_terminal and at % options.evaluate_every == 0:
+                console.print(f"iteration {at}: {loss}, {count}, {psnr}".rstrip(", "))
 
         result = run.run(report)
     values = {
