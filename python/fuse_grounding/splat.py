@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,7 +28,17 @@ from fuse_grounding._core import Camera
 from fuse_grounding.arguments import Count, Fraction, Natural, Positive, instance_of, whole
 from fuse_grounding.errors import InputError
 
-__all__ = ["Gaussians", "RefineStats", "Trainer", "TrainerConfig", "psnr", "render"]
+__all__ = [
+    "Gaussians",
+    "RefineStats",
+    "Trainer",
+    "TrainerConfig",
+    "map_format",
+    "psnr",
+    "quality",
+    "render",
+    "ssim",
+]
 
 
 @dataclass(frozen=True)
@@ -150,15 +161,41 @@ class Gaussians:
         """Writes a PLY as the original 3DGS does, whole or not at all."""
         self._inner.save_ply(os.fspath(path))
 
-    @property
+    @classmethod
+    def from_spz(cls, path: str | os.PathLike[str]) -> Gaussians:
+        """Reads an SPZ (Niantic's, versions 2 and 3). Raises InputError that names the file and its fault."""
+        return cls(_core.Gaussians.from_spz(os.fspath(path)))
+
+    def save_spz(self, path: str | os.PathLike[str]) -> None:
+        """Writes an SPZ (version 3), about a tenth of the PLY and a little coarser; whole or not at all."""
+        self._inner.save_spz(os.fspath(path))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Gaussians:
+        """Reads a .ply or .spz, by the suffix. Raises InputError for another, and as the readers do."""
+        return cls.from_spz(path) if map_format(path) == "spz" else cls.from_ply(path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a .ply or .spz, by the suffix. Raises InputError for another, and as the writers do."""
+        if map_format(path) == "spz":
+            self.save_spz(path)
+        else:
+            self.save_ply(path)
+
+    @cached_property
     def parameters(self) -> NDArray[np.float32]:
-        """(N, 59) float32, a copy: position, log scale, quaternion (w first), opacity logit, harmonics."""
-        return self._inner.parameters()
+        """(N, 59) float32, read-only: position, log scale, quaternion (w first), opacity logit, harmonics.
+
+        Made once, at the first use (they are stored in blocks of eight); other properties are views of it.
+        """
+        array = self._inner.parameters()
+        array.flags.writeable = False
+        return array
 
     @property
     def positions(self) -> NDArray[np.float32]:
-        """(N, 3) float32 metres, a copy."""
-        return self.parameters[:, :3].copy()
+        """(N, 3) float32 metres, a read-only view of `parameters`."""
+        return self.parameters[:, :3]
 
     def __len__(self) -> int:
         return len(self._inner)
@@ -215,10 +252,27 @@ class Trainer:
         """Adds Gaussians at newly found points; returns how many (`max_gaussians` limits them)."""
         return self._inner.add_points(_triples("xyz", xyz), _triples("rgb", rgb))
 
-    def refine(self, iterations: int) -> RefineStats:
-        """Runs more iterations over all views; every view comes once before any comes again."""
-        stats: dict[str, Any] = self._inner.refine(whole("iterations", iterations))
+    def refine(self, iterations: int, following: int = 0) -> RefineStats:
+        """Runs more iterations over all views; every view comes once before any comes again.
+
+        `following` more are to come in later calls: together they do, bit for bit, what one long call does.
+        """
+        stats: dict[str, Any] = self._inner.refine(
+            whole("iterations", iterations), whole("following", following)
+        )
         return RefineStats(**stats)
+
+    def save_checkpoint(self, path: str | os.PathLike[str], note: str = "") -> None:
+        """Writes the whole state of the training, whole or not at all; `note` is kept for the caller."""
+        self._inner.save_checkpoint(os.fspath(path), note)
+
+    def load_checkpoint(self, path: str | os.PathLike[str]) -> str:
+        """Continues where a checkpoint was written; returns its note.
+
+        The trainer must have the settings and the views, in their order, of the one that wrote it. Raises
+        InputError that says what differs, or that the file is damaged; the trainer is then unchanged.
+        """
+        return self._inner.load_checkpoint(os.fspath(path))
 
     @property
     def gaussians(self) -> Gaussians:
@@ -234,6 +288,31 @@ class Trainer:
     def view_count(self) -> int:
         """Number of views."""
         return self._inner.progress()[1]
+
+
+def map_format(path: str | os.PathLike[str]) -> str:
+    """`ply` or `spz`, by the suffix. Raises InputError for another."""
+    suffix = os.path.splitext(os.fspath(path))[1].lower()
+    if suffix not in (".ply", ".spz"):
+        raise InputError(f"{os.fspath(path)}: a map is a .ply or .spz file, found suffix {suffix!r}")
+    return suffix[1:]
+
+
+def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    """Structural similarity of two (H, W, 3) uint8 images, as the original 3DGS measures it."""
+    return _core.ssim(a, b)
+
+
+def quality(
+    gaussians: Gaussians,
+    camera: Camera,
+    image: NDArray[np.uint8],
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+) -> tuple[float, float]:
+    """PSNR (decibel) and SSIM of a rendering, in 8 bits, against an (H, W, 3) uint8 image."""
+    instance_of("gaussians", gaussians, Gaussians)
+    instance_of("camera", camera, Camera)
+    return _core.splat_quality(gaussians._inner, camera, image, tuple(background))
 
 
 def psnr(a: NDArray[Any], b: NDArray[Any]) -> float:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
 import threading
 import time
 from typing import Any
 
+import cv2
 import numpy as np
 import plyfile
 import pytest
@@ -80,10 +83,98 @@ def test_a_ply_of_another_writer_is_read(tmp_path) -> None:
         other[name] = data[name]
     plyfile.PlyData([plyfile.PlyElement.describe(other, "vertex")], byte_order="<").write(tmp_path / "b.ply")
     assert np.array_equal(splat.Gaussians.from_ply(tmp_path / "b.ply").parameters, gaussians.parameters)
-    ascii_file = plyfile.PlyData([plyfile.PlyElement.describe(data, "vertex")], text=True)
-    ascii_file.write(tmp_path / "c.ply")
-    with pytest.raises(InputError, match=r"c\.ply: format is ascii, only binary_little_endian is read"):
-        splat.Gaussians.from_ply(tmp_path / "c.ply")
+    forms: dict[str, dict[str, Any]] = {"ascii": {"text": True}, "big": {"byte_order": ">"}}
+    for name, form in forms.items():
+        file = plyfile.PlyData([plyfile.PlyElement.describe(data, "vertex")], **form)
+        file.write(str(tmp_path / f"{name}.ply"))
+        assert np.array_equal(
+            splat.Gaussians.from_ply(tmp_path / f"{name}.ply").parameters, gaussians.parameters
+        )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"vertex 20", b"vertex 0", r"a\.ply: 0 vertices of 248 bytes announced, found 4960 bytes"),
+        (b"vertex 20", b"vertex 1000000000", "1000000000 vertices of 248 bytes announced"),
+        (b"vertex 20", b"vertex many", "vertex count `many` is not a whole number"),
+        (b"float rot_3", b"float rot_4", "property `rot_3` is missing"),
+        (b"format binary_little_endian", b"format binary_middle", "format `binary_middle` unknown"),
+        (b"end_header", b"end_heater", "no `end_header`"),
+    ],
+)
+def test_a_bad_ply_is_one_clear_error(tmp_path, old: bytes, new: bytes, message: str) -> None:
+    scene(20).save_ply(tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes()
+    assert old in data
+    (tmp_path / "a.ply").write_bytes(data.replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        splat.Gaussians.from_ply(tmp_path / "a.ply")
+
+
+def test_nan_in_a_ply_is_named(tmp_path) -> None:
+    scene(20).save_ply(tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(data[:-4] + np.float32(np.nan).tobytes())
+    with pytest.raises(InputError, match=r"a\.ply: `rot_3` of vertex 19 is NaN, expected a finite number"):
+        splat.Gaussians.from_ply(tmp_path / "a.ply")
+
+
+def test_spz_is_small_and_looks_the_same(tmp_path) -> None:
+    gaussians = scene()
+    for name in ("a.ply", "a.spz"):
+        gaussians.save(tmp_path / name)
+    assert (tmp_path / "a.spz").stat().st_size < 0.15 * (tmp_path / "a.ply").stat().st_size
+    again = splat.Gaussians.load(tmp_path / "a.spz")
+    assert splat.psnr(picture(again, camera()), picture(gaussians, camera())) > 40
+    whole = (tmp_path / "a.spz").read_bytes()
+    (tmp_path / "a.spz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"a\.spz: truncated"):
+        splat.Gaussians.load(tmp_path / "a.spz")
+    with pytest.raises(InputError, match=r"a map is a \.ply or \.spz file, found suffix '\.obj'"):
+        splat.Gaussians.load(tmp_path / "a.obj")
+
+
+def test_parameters_are_shared_and_read_only() -> None:
+    gaussians = scene()
+    assert gaussians.parameters is gaussians.parameters
+    assert np.shares_memory(gaussians.positions, gaussians.parameters)
+    with pytest.raises(ValueError, match="read-only"):
+        gaussians.positions[0, 0] = 1.0
+
+
+def test_ssim_is_that_of_the_formula() -> None:
+    rng = np.random.default_rng(3)
+    a = np.asarray(cv2.GaussianBlur(rng.integers(0, 256, (60, 80, 3), dtype=np.uint8), (0, 0), 2), np.uint8)
+    b = np.clip(a + rng.normal(0, 12, a.shape), 0, 255).astype(np.uint8)
+
+    def blur(image: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(image, (11, 11), 1.5, borderType=cv2.BORDER_CONSTANT)
+
+    x, y = a / 255.0, b / 255.0
+    mx, my = blur(x), blur(y)
+    vx, vy, cov = blur(x * x) - mx**2, blur(y * y) - my**2, blur(x * y) - mx * my
+    c1, c2 = 0.01**2, 0.03**2
+    expected = ((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))).mean()
+    assert splat.ssim(a, b) == pytest.approx(expected, abs=2e-4)
+    assert splat.ssim(a, a) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_long_refinement_ends_with_ctrl_c() -> None:
+    trainer = splat.Trainer(scene(2000))
+    view = camera(320, 240)
+    trainer.add_view(picture(scene(2000), view), view)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    try:
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            trainer.refine(1_000_000)
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
+    assert 0 < trainer.iteration < 1_000_000
+    assert trainer.refine(1).total_iterations == trainer.iteration
 
 
 def test_refinement_resumes_and_repeats() -> None:

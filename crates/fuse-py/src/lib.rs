@@ -10,6 +10,7 @@ mod objects;
 mod randomized;
 mod render;
 mod splat;
+mod splat_data;
 
 use pyo3::prelude::*;
 
@@ -25,5 +26,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     objects::register(module)?;
     randomized::register(module)?;
     evidence::register(module)?;
-    splat::register(module)
+    splat::register(module)?;
+    splat_data::register(module)
 }

@@ -5,8 +5,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use fuse_camera::RgbBuffer;
 use fuse_splat::{RefineStats, SplatError, TrainerConfig};
-use numpy::ndarray::Array2;
-use numpy::{IntoPyArray, PyArray2, PyArray3, PyUntypedArrayMethods};
+use numpy::{PyArray2, PyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -37,7 +36,7 @@ fn triples(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f32; 3]>> {
 /// A map of Gaussians. Read-only: training makes new ones.
 #[pyclass(frozen, module = "fuse_grounding")]
 pub struct Gaussians {
-    inner: fuse_splat::Gaussians,
+    pub inner: fuse_splat::Gaussians,
 }
 
 #[pymethods]
@@ -55,11 +54,18 @@ impl Gaussians {
     fn save_ply(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         enter(py, || self.inner.save_ply(&path))
     }
-    /// (N, 59) float32.
-    fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+    #[staticmethod]
+    fn from_spz(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        enter(py, || fuse_splat::Gaussians::from_spz(&path)).map(|inner| Self { inner })
+    }
+    fn save_spz(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        enter(py, || self.inner.save_spz(&path))
+    }
+    /// (N, 59) float32. One copy: they are stored in blocks of eight, one a SIMD lane.
+    fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let n = self.inner.len();
-        let rows: Vec<[f32; fuse_splat::constants::PARAMETERS]> = (0..n).map(|i| self.inner.vector(i)).collect();
-        Array2::from_shape_fn((n, fuse_splat::constants::PARAMETERS), |(i, r)| rows[i][r]).into_pyarray(py)
+        let rows = py.detach(|| (0..n).flat_map(|i| self.inner.vector(i)).collect());
+        array::into_2d(py, rows, fuse_splat::constants::PARAMETERS as u32, n as u32)
     }
     fn __len__(&self) -> usize {
         self.inner.len()
@@ -142,8 +148,9 @@ impl SplatTrainer {
         let (xyz, rgb) = (triples("xyz", xyz)?, triples("rgb", rgb)?);
         enter(py, || self.lock()?.add_points(&xyz, &rgb))
     }
-    /// Ctrl-C ends it after the iteration that it fell into.
-    fn refine<'py>(&self, py: Python<'py>, iterations: u32) -> PyResult<Bound<'py, PyDict>> {
+    /// Ctrl-C ends it after the iteration that it fell into. `following` more are to come in later
+    /// calls.
+    fn refine<'py>(&self, py: Python<'py>, iterations: u32, following: u32) -> PyResult<Bound<'py, PyDict>> {
         let mut interrupt = None;
         let mut proceed = || match Python::attach(|py| py.check_signals()) {
             Ok(()) => true,
@@ -152,7 +159,7 @@ impl SplatTrainer {
                 false
             }
         };
-        let stats = enter(py, || self.lock()?.refine_while(iterations, &mut proceed))?;
+        let stats = enter(py, || self.lock()?.refine_while(iterations, following, &mut proceed))?;
         match interrupt {
             Some(e) => Err(e),
             None => describe(py, &stats),
@@ -160,6 +167,13 @@ impl SplatTrainer {
     }
     fn gaussians(&self, py: Python<'_>) -> PyResult<Gaussians> {
         enter(py, || Ok::<_, SplatError>(self.lock()?.gaussians())).map(|inner| Gaussians { inner })
+    }
+    fn save_checkpoint(&self, py: Python<'_>, path: PathBuf, note: &str) -> PyResult<()> {
+        enter(py, || self.lock()?.save_checkpoint(&path, note))
+    }
+    /// Returns the note.
+    fn load_checkpoint(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
+        enter(py, || self.lock()?.load_checkpoint(&path))
     }
     /// (iterations so far, views).
     fn progress(&self, py: Python<'_>) -> PyResult<(u32, usize)> {

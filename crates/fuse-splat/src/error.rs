@@ -11,9 +11,9 @@ pub enum SplatError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// A file is not a PLY of Gaussians.
+    /// A file is not what it should be.
     #[error("{path}: {what}")]
-    Ply {
+    File {
         /// The file.
         path: String,
         /// What was found and what was expected.
@@ -29,7 +29,7 @@ impl SplatError {
         Self::Io { path: path.display().to_string(), source }
     }
 
-    pub(crate) fn ply(path: &std::path::Path, what: impl Into<String>) -> Self {
-        Self::Ply { path: path.display().to_string(), what: what.into() }
+    pub(crate) fn file(path: &std::path::Path, what: impl Into<String>) -> Self {
+        Self::File { path: path.display().to_string(), what: what.into() }
     }
 }

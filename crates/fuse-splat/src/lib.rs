@@ -9,20 +9,26 @@
 
 #![allow(clippy::needless_range_loop, reason = "kernels index fixed axes, to be read beside their formulas")]
 
+mod bytes;
+mod checkpoint;
 mod config;
 pub mod constants;
 mod cpu;
+pub mod data;
 mod densify;
 mod error;
+mod files;
 mod gaussians;
 mod nearest;
 mod ply;
+mod quality;
 #[doc(hidden)]
 pub mod reference;
 mod render;
 mod schedule;
 mod sh;
 mod simd;
+mod spz;
 mod stages;
 mod surgery;
 mod table;
@@ -33,6 +39,7 @@ pub use cpu::StageSeconds;
 pub use densify::Changes;
 pub use error::SplatError;
 pub use gaussians::Gaussians;
+pub use quality::{Quality, quality, ssim};
 pub use render::{Rendering, loss_gradient, psnr, render, render_at};
 pub use table::{Block, LANES, Table};
 pub use trainer::{RefineStats, Trainer};

@@ -1,18 +1,24 @@
-//! PLY files exactly as the original 3DGS writes them: binary little endian, one `vertex` element
-//! of 62 floats: x, y, z, nx, ny, nz (zero), f_dc_0..2, f_rest_0..44 (15 of red, then green, then
-//! blue), opacity (logit), scale_0..2 (logarithm), rot_0..3 (w first).
+//! PLY files as the original 3DGS writes them: binary little endian, one `vertex` element of 62
+//! floats: x, y, z, nx, ny, nz (zero), f_dc_0..2, f_rest_0..44 (15 of red, then green, then blue),
+//! opacity (logit), scale_0..2 (logarithm), rot_0..3 (w first). Read are also ASCII and big endian,
+//! any order of properties, other properties besides, and harmonics to a lower degree.
 
-use std::io::Write as _;
+pub(crate) mod vertices;
+
 use std::path::Path;
 
-use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, ROTATION, SCALE};
-use crate::{Gaussians, SplatError};
+use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, REST_PER_CHANNEL, ROTATION, SCALE};
+use crate::gaussians::logit;
+use crate::{Gaussians, SplatError, files};
+use vertices::Vertices;
 
-/// A header longer than this is not one of ours.
-const HEADER_MAX: usize = 64 * 1024;
+/// What stands for an opacity of 0, and one less it for 1: they have no finite logit. Half a grey
+/// level.
+pub(crate) const ALPHA_EDGE: f32 = 0.5 / 255.0;
 
-/// Name and row (`None`: a normal, zero) of each property, in file order.
-fn properties() -> Vec<(String, Option<usize>)> {
+/// Name and row (`None`: a normal, zero) of each property, in file order, with `rest` harmonics
+/// beyond the constant one for each colour.
+fn properties(rest: usize) -> Vec<(String, Option<usize>)> {
     let numbered = |name: &str, first: usize, count: usize| -> Vec<_> {
         (0..count).map(|i| (format!("{name}_{i}"), Some(first + i))).collect()
     };
@@ -20,7 +26,10 @@ fn properties() -> Vec<(String, Option<usize>)> {
         ["x", "y", "z"].iter().enumerate().map(|(i, n)| (n.to_string(), Some(POSITION + i))).collect();
     all.extend(["nx", "ny", "nz"].map(|n| (n.to_string(), None)));
     all.extend(numbered("f_dc", DC, 3));
-    all.extend(numbered("f_rest", REST, 45));
+    for channel in 0..3 {
+        let name = |k| format!("f_rest_{}", channel * rest + k);
+        all.extend((0..rest).map(|k| (name(k), Some(REST + channel * REST_PER_CHANNEL + k))));
+    }
     all.push(("opacity".into(), Some(OPACITY)));
     all.extend(numbered("scale", SCALE, 3));
     all.extend(numbered("rot", ROTATION, 4));
@@ -29,7 +38,7 @@ fn properties() -> Vec<(String, Option<usize>)> {
 
 /// The file's bytes.
 pub(crate) fn encode(gaussians: &Gaussians) -> Vec<u8> {
-    let properties = properties();
+    let properties = properties(REST_PER_CHANNEL);
     let mut out = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", gaussians.len()).into_bytes();
     for (name, _) in &properties {
         out.extend(format!("property float {name}\n").bytes());
@@ -44,125 +53,44 @@ pub(crate) fn encode(gaussians: &Gaussians) -> Vec<u8> {
     out
 }
 
-/// Bytes of a scalar property of the given type.
-fn size_of(kind: &str) -> Option<usize> {
-    Some(match kind {
-        "char" | "uchar" | "int8" | "uint8" => 1,
-        "short" | "ushort" | "int16" | "uint16" => 2,
-        "int" | "uint" | "float" | "int32" | "uint32" | "float32" => 4,
-        "double" | "float64" => 8,
-        _ => return None,
-    })
-}
-
-#[derive(Default)]
-struct Header {
-    count: usize,
-    stride: usize,
-    /// Name, type, offset in a vertex.
-    properties: Vec<(String, String, usize)>,
-    /// Where the vertices start in the file.
-    body: usize,
-}
-
-fn parse_header(bytes: &[u8]) -> Result<Header, String> {
-    const END: &[u8] = b"end_header\n";
-    if !bytes.starts_with(b"ply\n") && !bytes.starts_with(b"ply\r\n") {
-        return Err("not a PLY file: it does not begin with `ply`".into());
-    }
-    let window = &bytes[..bytes.len().min(HEADER_MAX)];
-    let end = window.windows(END.len()).position(|w| w == END).ok_or("the header has no `end_header` line")?;
-    let text = std::str::from_utf8(&window[..end]).map_err(|_| "the header is not text")?;
-    let mut header = Header { body: end + END.len(), ..Header::default() };
-    let mut element = false;
-    let mut format = false;
-    for line in text.lines().skip(1) {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        match words[..] {
-            ["format", "binary_little_endian", _] => format = true,
-            ["format", other, ..] => {
-                return Err(format!("format is {other}, only binary_little_endian is read"));
-            }
-            ["element", "vertex", count] if !element => {
-                header.count = count.parse().map_err(|_| format!("vertex count `{count}` is not a number"))?;
-                element = true;
-            }
-            ["element", name, ..] => {
-                return Err(format!("element `{name}` found, expected one element `vertex` and no other"));
-            }
-            ["property", "list", ..] => return Err(format!("`{line}` found, expected scalar properties only")),
-            ["property", kind, name] if element => {
-                let size = size_of(kind).ok_or_else(|| format!("property {name} has unknown type {kind}"))?;
-                header.properties.push((name.into(), kind.into(), header.stride));
-                header.stride += size;
-            }
-            ["comment" | "obj_info", ..] | [] => {}
-            _ => return Err(format!("header line `{line}` not understood")),
-        }
-    }
-    match (format, element) {
-        (false, _) => Err("the header has no `format` line".into()),
-        (_, false) => Err("the header has no `element vertex` line".into()),
-        _ => Ok(header),
-    }
-}
-
-/// Offset in a vertex for each of our properties that has a row.
-fn locate(header: &Header) -> Result<Vec<(String, usize, usize)>, String> {
-    let wanted = properties();
-    let mut located = Vec::new();
-    for (name, row) in wanted {
-        let Some(row) = row else { continue };
-        let (_, kind, offset) = header.properties.iter().find(|p| p.0 == name).ok_or_else(|| {
-            format!(
-                "property `{name}` is missing; expected the 3DGS layout (x … rot_3, spherical harmonics to degree 3)"
-            )
-        })?;
-        if !matches!(kind.as_str(), "float" | "float32") {
-            return Err(format!("property `{name}` has type {kind}, expected float"));
-        }
-        located.push((name, *offset, row));
-    }
-    Ok(located)
-}
-
-/// Reads what [`encode`] writes; other properties and another order are accepted.
+/// Reads what [`encode`] writes, and its relatives.
 pub(crate) fn decode(bytes: &[u8]) -> Result<Gaussians, String> {
-    let header = parse_header(bytes)?;
-    let located = locate(&header)?;
-    let available = bytes.len() - header.body;
-    // Checked before anything is allocated for the count that the file claims.
-    let expected = header.count.checked_mul(header.stride).filter(|&n| n == available).ok_or_else(|| {
-        format!(
-            "{} vertices of {} bytes announced, found {available} bytes after the header",
-            header.count, header.stride
-        )
-    })?;
-    let body = &bytes[header.body..header.body + expected];
-    let mut vectors = Vec::with_capacity(header.count);
-    for (i, vertex) in body.chunks_exact(header.stride).enumerate() {
-        let mut v = [0.0; PARAMETERS];
-        for (name, offset, row) in &located {
-            let raw = vertex[*offset..].first_chunk().ok_or("vertex shorter than its properties")?;
-            v[*row] = f32::from_le_bytes(*raw);
-            if !v[*row].is_finite() {
-                return Err(format!("`{name}` of vertex {i} is {}, expected a finite number", v[*row]));
-            }
-        }
-        vectors.push(v);
+    let vertices = Vertices::parse(bytes)?;
+    let rest = match vertices.numbered("f_rest_") {
+        n @ (0 | 9 | 24) => n / 3,
+        // A file without harmonics at all is told so below, by the first that is missing.
+        45 => REST_PER_CHANNEL,
+        n => return Err(format!("{n} properties `f_rest_…` found, expected 45, 24, 9 or none (degree 3 to 0)")),
+    };
+    let (names, rows): (Vec<_>, Vec<_>) =
+        properties(rest).into_iter().filter_map(|(name, row)| row.map(|r| (name, r))).unzip();
+    // Converters from formats of 8 bits write an infinite logit for an opacity of 0 or 1.
+    let read =
+        vertices.read(&names, "opacity", "the 3DGS layout (x, y, z, f_dc_0 … 2, f_rest_…, opacity, scale_…, rot_…)")?;
+    if read.is_empty() {
+        return Err("the file has no vertices, expected at least one Gaussian".into());
     }
-    Ok(Gaussians::from_vectors(&vectors))
+    let vector = |values: &Vec<f32>| {
+        let mut v = [0.0; PARAMETERS];
+        for (row, value) in rows.iter().zip(values) {
+            v[*row] = *value;
+        }
+        if v[OPACITY].is_infinite() {
+            v[OPACITY] = logit(ALPHA_EDGE).copysign(v[OPACITY]);
+        }
+        v
+    };
+    Ok(Gaussians::from_vectors(&read.iter().map(vector).collect::<Vec<_>>()))
 }
 
 impl Gaussians {
-    /// Reads a PLY as the original 3DGS writes it (spherical harmonics to degree 3).
+    /// Reads a PLY as the original 3DGS writes it (spherical harmonics to degree 3 or less).
     ///
     /// # Errors
-    /// If the file cannot be read, is ascii or big-endian, lacks a property, has a length that
-    /// disagrees with its header, or holds a value that is not finite.
+    /// If the file cannot be read, has no vertices, lacks a property, has a length that disagrees
+    /// with its header, or holds a value that is not finite.
     pub fn from_ply(path: &Path) -> Result<Self, SplatError> {
-        let bytes = std::fs::read(path).map_err(|e| SplatError::io(path, e))?;
-        decode(&bytes).map_err(|what| SplatError::ply(path, what))
+        decode(&files::read(path)?).map_err(|what| SplatError::file(path, what))
     }
 
     /// Writes a PLY as the original 3DGS does. The file appears whole or not at all.
@@ -170,27 +98,8 @@ impl Gaussians {
     /// # Errors
     /// If the file cannot be written.
     pub fn save_ply(&self, path: &Path) -> Result<(), SplatError> {
-        let fail = |e| SplatError::io(path, e);
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(fail)?;
-        file.write_all(&encode(self)).map_err(fail)?;
-        file.as_file().sync_all().map_err(fail)?;
-        share(file.as_file()).map_err(fail)?;
-        file.persist(path).map_err(|e| fail(e.error))?;
-        Ok(())
+        files::write(path, &[&encode(self)])
     }
-}
-
-/// Temporary files are private; a result is readable like any other file.
-#[cfg(unix)]
-fn share(file: &std::fs::File) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt as _;
-    file.set_permissions(std::fs::Permissions::from_mode(0o644))
-}
-
-#[cfg(not(unix))]
-fn share(_: &std::fs::File) -> std::io::Result<()> {
-    Ok(())
 }
 
 #[cfg(test)]
@@ -220,9 +129,9 @@ mod tests {
     #[test]
     fn the_layout_is_the_originals() {
         let bytes = encode(&some());
-        let header = parse_header(&bytes).unwrap();
-        assert_eq!(header.stride, 62 * 4);
-        let at = |name: &str| header.properties.iter().position(|p| p.0 == name).unwrap();
+        assert_eq!(Vertices::parse(&bytes).unwrap().stride, 62 * 4);
+        let all = properties(REST_PER_CHANNEL);
+        let at = |name: &str| all.iter().position(|p| p.0 == name).unwrap();
         assert_eq!(
             [at("x"), at("nx"), at("f_dc_0"), at("f_rest_0"), at("opacity"), at("scale_0"), at("rot_0")],
             [0, 3, 6, 9, 54, 55, 58]
@@ -232,13 +141,17 @@ mod tests {
     #[test]
     fn refusals_say_what_was_found() {
         for (from, to, part) in [
-            ("binary_little_endian", "ascii", "format is ascii, only binary_little_endian"),
-            ("binary_little_endian", "binary_big_endian", "format is binary_big_endian"),
+            ("binary_little_endian", "ascii", "the vertices are not text"),
+            ("binary_little_endian", "binary_pdp_endian", "format `binary_pdp_endian` unknown"),
+            ("vertex 3", "vertex 0", "0 vertices of 248 bytes announced"),
+            ("vertex 3", "vertex 1000000000", "1000000000 vertices of 248 bytes announced, found 744 bytes"),
             ("vertex 3", "vertex 4", "4 vertices of 248 bytes announced, found 744 bytes"),
             ("vertex 3", "vertex 18446744073709551615", "18446744073709551615 vertices"),
-            ("vertex 3", "vertex -3", "vertex count `-3` is not a number"),
+            ("vertex 3", "vertex -3", "vertex count `-3` is not a whole number"),
             ("float rot_3", "float nonsense", "property `rot_3` is missing"),
-            ("float opacity", "double opacity", "property `opacity` has type double"),
+            ("float opacity", "double opacity", "3 vertices of 252 bytes announced"),
+            ("float f_rest_44", "float x", "property `x` is there twice"),
+            ("float f_rest_44", "float f_best_44", "44 properties `f_rest_…` found, expected 45, 24, 9 or none"),
             ("float f_rest_44", "list uchar int f_rest_44", "scalar properties only"),
             ("end_header", "end_headxr", "no `end_header`"),
             ("ply", "plz", "not a PLY file"),
@@ -249,6 +162,58 @@ mod tests {
         let mut bad = some();
         bad.set(1, OPACITY, f32::NAN);
         assert_eq!(decode(&encode(&bad)).unwrap_err(), "`opacity` of vertex 1 is NaN, expected a finite number");
+    }
+
+    #[test]
+    fn opacities_of_zero_and_one_are_read() {
+        let mut g = some();
+        g.set(0, OPACITY, f32::INFINITY);
+        g.set(1, OPACITY, f32::NEG_INFINITY);
+        let read = decode(&encode(&g)).unwrap();
+        assert!((read.opacity(0) - 1.0).abs() < 0.01 && read.opacity(1) < 0.01);
+        g.set(2, OPACITY + 1, f32::INFINITY);
+        assert!(decode(&encode(&g)).unwrap_err().contains("`f_dc_0` of vertex 2 is inf"));
+    }
+
+    #[test]
+    fn other_forms_of_the_same_file() {
+        let mut flat = some();
+        for i in 0..3 {
+            for row in REST..PARAMETERS {
+                // Degree 1: the first three of fifteen harmonics a colour.
+                if (row - REST) % REST_PER_CHANNEL >= 3 {
+                    flat.set(i, row, 0.0);
+                }
+            }
+        }
+        let properties = properties(3);
+        let header = |format: &str, count: usize| {
+            let mut h = format!("ply\r\nformat {format} 1.0\r\ncomment made by hand\r\nelement vertex {count}\r\n");
+            for (name, _) in &properties {
+                h.push_str(&format!("property float {name}\r\n"));
+            }
+            h + "end_header\r\n"
+        };
+        let values: Vec<f32> = (0..3)
+            .flat_map(|i| properties.iter().map(move |p| (i, p.1)))
+            .map(|(i, r)| r.map_or(0.0, |r| flat.table.get(i, r)))
+            .collect();
+        let mut big = header("binary_big_endian", 3).into_bytes();
+        big.extend(values.iter().flat_map(|v| v.to_be_bytes()));
+        assert_eq!(decode(&big).unwrap(), flat);
+        let words: Vec<String> = values.iter().map(|v| v.to_string()).collect();
+        let text = header("ascii", 3) + &words.join(" ");
+        assert_eq!(decode(text.as_bytes()).unwrap(), flat);
+        for (text, part) in [
+            (header("ascii", 3) + &words[1..].join(" "), "the text ends within vertex 2 of 3"),
+            (header("ascii", 3) + &words.join(" ") + " 7", "`7` follows the last of 3 vertices"),
+            (header("ascii", 3) + "x" + &words.join(" "), "`x` of vertex 0 is `x-9`, expected a number"),
+            (header("ascii", 1_000_000_000), "1000000000 vertices of 26 properties announced, found 0 bytes"),
+            (header("ascii", 0), "the file has no vertices"),
+        ] {
+            let message = decode(text.as_bytes()).unwrap_err();
+            assert!(message.contains(part), "{message:?} should contain {part:?}");
+        }
     }
 
     proptest::proptest! {

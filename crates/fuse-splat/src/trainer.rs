@@ -14,7 +14,7 @@ use crate::cpu::{Pipeline, StageSeconds, lap, project_backward};
 use crate::densify::{Changes, densify};
 use crate::stages::View;
 use crate::surgery::Patient;
-use crate::{Gaussians, SplatError, TrainerConfig, render, schedule};
+use crate::{Gaussians, SplatError, TrainerConfig, checkpoint, render, schedule};
 
 /// Opacities are reset to at most this, as in the original.
 const RESET_OPACITY: f32 = 0.01;
@@ -47,16 +47,18 @@ pub struct RefineStats {
 /// threads and one SIMD level.
 #[derive(Debug)]
 pub struct Trainer {
-    config: TrainerConfig,
-    level: Level,
-    patient: Patient,
-    views: Vec<(Camera, View, Target)>,
+    pub(crate) config: TrainerConfig,
+    pub(crate) level: Level,
+    pub(crate) patient: Patient,
+    pub(crate) views: Vec<(Camera, View, Target)>,
+    /// Checksum of each view's image.
+    pub(crate) prints: Vec<u32>,
     /// Views still to come before all are shuffled anew.
-    queue: Vec<usize>,
-    rng: ChaCha8Rng,
-    iteration: u32,
-    densify_due: bool,
-    reset_due: bool,
+    pub(crate) queue: Vec<usize>,
+    pub(crate) rng: ChaCha8Rng,
+    pub(crate) iteration: u32,
+    pub(crate) densify_due: bool,
+    pub(crate) reset_due: bool,
     pipeline: Pipeline,
 }
 
@@ -80,6 +82,7 @@ impl Trainer {
             level,
             patient: Patient::new(gaussians.table),
             views: Vec::new(),
+            prints: Vec::new(),
             queue: Vec::new(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             iteration: 0,
@@ -98,6 +101,7 @@ impl Trainer {
         let view = View::new(camera)?;
         let target = render::target(self.level, image, &view)?;
         self.views.push((*camera, view, target));
+        self.prints.push(checkpoint::print(image));
         // All views, the new one among them, are due from now on.
         self.queue.clear();
         Ok(self.views.len() - 1)
@@ -160,16 +164,18 @@ impl Trainer {
     /// # Errors
     /// If there are no views.
     pub fn refine(&mut self, iterations: u32) -> Result<RefineStats, SplatError> {
-        self.refine_while(iterations, &mut || true)
+        self.refine_while(iterations, 0, &mut || true)
     }
 
-    /// [`Self::refine`] that asks before each iteration whether to go on.
+    /// [`Self::refine`] that asks before each iteration whether to go on. `following` more are to
+    /// come in later calls: calls that follow one another do what one long call does.
     ///
     /// # Errors
     /// As [`Self::refine`].
     pub fn refine_while(
         &mut self,
         iterations: u32,
+        following: u32,
         proceed: &mut dyn FnMut() -> bool,
     ) -> Result<RefineStats, SplatError> {
         if self.views.is_empty() && iterations > 0 {
@@ -181,7 +187,8 @@ impl Trainer {
         let mut losses = Vec::with_capacity(iterations as usize);
         self.pipeline.seconds = StageSeconds::default();
         while stats.iterations < iterations && proceed() {
-            self.maintain(extent, iterations - stats.iterations, &mut stats);
+            let left = (iterations - stats.iterations).saturating_add(following);
+            self.maintain(extent, left, &mut stats);
             self.iteration += 1;
             stats.iterations += 1;
             losses.push(self.iterate(extent));
