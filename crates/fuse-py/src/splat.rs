@@ -251,6 +251,7 @@ fn trainer_config(settings: &Bound<'_, PyDict>) -> PyResult<TrainerConfig> {
             opacity_reset_interval,
             opacity_reset_margin,
             max_gaussians,
+            fine_iterations,
             extent,
             background,
             seed

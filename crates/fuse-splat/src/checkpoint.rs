@@ -128,7 +128,7 @@ impl Trainer {
     }
 
     fn view_lines(&self) -> Vec<String> {
-        self.views.iter().zip(&self.prints).map(|((camera, ..), print)| format!("{print:08x} {camera:?}")).collect()
+        self.views.iter().map(|shot| format!("{:08x} {:?}", shot.print, shot.camera)).collect()
     }
 }
 

@@ -57,6 +57,9 @@ pub struct TrainerConfig {
     /// One densification takes at most a sixteenth of what is left, the busiest Gaussians first, so
     /// that views that come later find room too.
     pub max_gaussians: usize,
+    /// So many iterations at the end of a call look at the views at full resolution, those before at
+    /// half of it, which costs a third. `None`: all at full resolution, as in the original.
+    pub fine_iterations: Option<u32>,
     /// Extent of the scene, metres; `None`: 1.1 times the largest distance of a camera from the
     /// cameras' mean, as in the original.
     pub extent: Option<f32>,
@@ -90,6 +93,7 @@ impl Default for TrainerConfig {
             opacity_reset_interval: 3000,
             opacity_reset_margin: 1000,
             max_gaussians: 40_000,
+            fine_iterations: None,
             extent: None,
             background: [0.0; 3],
             seed: 0,

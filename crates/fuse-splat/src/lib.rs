@@ -27,6 +27,7 @@ pub mod reference;
 mod render;
 mod schedule;
 mod sh;
+mod shot;
 mod simd;
 mod spz;
 mod stages;

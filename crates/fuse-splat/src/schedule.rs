@@ -26,6 +26,12 @@ pub(crate) fn degree(config: &TrainerConfig, iteration: u32) -> u32 {
     (iteration / config.degree_interval).min(config.degree)
 }
 
+/// Whether an iteration looks at half the resolution, with so many `left` in this and the following
+/// calls, itself among them.
+pub(crate) fn coarse(config: &TrainerConfig, left: u32) -> bool {
+    config.fine_iterations.is_some_and(|fine| left > fine)
+}
+
 /// Whether Gaussians are cloned, split and removed after iteration `i`.
 pub(crate) fn densify_after(config: &TrainerConfig, iteration: u32) -> bool {
     iteration > config.densify_start

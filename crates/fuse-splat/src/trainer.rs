@@ -9,12 +9,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng as _;
 
 use crate::cpu::adam::Step;
-use crate::cpu::loss::Target;
 use crate::cpu::{Pipeline, StageSeconds, lap, project_backward};
 use crate::densify::{Changes, densify};
-use crate::stages::View;
+use crate::shot::Shot;
 use crate::surgery::Patient;
-use crate::{Gaussians, SplatError, TrainerConfig, checkpoint, render, schedule};
+use crate::{Gaussians, SplatError, TrainerConfig, schedule};
 
 /// Opacities are reset to at most this, as in the original.
 const RESET_OPACITY: f32 = 0.01;
@@ -50,9 +49,7 @@ pub struct Trainer {
     pub(crate) config: TrainerConfig,
     pub(crate) level: Level,
     pub(crate) patient: Patient,
-    pub(crate) views: Vec<(Camera, View, Target)>,
-    /// Checksum of each view's image.
-    pub(crate) prints: Vec<u32>,
+    pub(crate) views: Vec<Shot>,
     /// Views still to come before all are shuffled anew.
     pub(crate) queue: Vec<usize>,
     pub(crate) rng: ChaCha8Rng,
@@ -82,7 +79,6 @@ impl Trainer {
             level,
             patient: Patient::new(gaussians.table),
             views: Vec::new(),
-            prints: Vec::new(),
             queue: Vec::new(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             iteration: 0,
@@ -98,10 +94,8 @@ impl Trainer {
     /// # Errors
     /// If image and camera differ in size, or are larger than 4096 pixels a side.
     pub fn add_view(&mut self, image: &RgbBuffer, camera: &Camera) -> Result<usize, SplatError> {
-        let view = View::new(camera)?;
-        let target = render::target(self.level, image, &view)?;
-        self.views.push((*camera, view, target));
-        self.prints.push(checkpoint::print(image));
+        let halved = self.config.fine_iterations.is_some();
+        self.views.push(Shot::new(self.level, image, camera, halved)?);
         // All views, the new one among them, are due from now on.
         self.queue.clear();
         Ok(self.views.len() - 1)
@@ -113,19 +107,11 @@ impl Trainer {
     /// If there is no such view, or the image size differs.
     pub fn set_camera(&mut self, index: usize, camera: &Camera) -> Result<(), SplatError> {
         let count = self.views.len();
-        let (old, view, target) = self
+        let shot = self
             .views
             .get_mut(index)
             .ok_or_else(|| SplatError::Input(format!("view {index} does not exist, there are {count}")))?;
-        let new = View::new(camera)?;
-        if (new.width, new.height) != (target.width, target.height) {
-            return Err(SplatError::Input(format!(
-                "view {index} is {}x{}, its new camera {}x{}",
-                target.width, target.height, new.width, new.height
-            )));
-        }
-        (*old, *view) = (*camera, new);
-        Ok(())
+        shot.set_camera(index, camera)
     }
 
     /// Adds Gaussians at newly found points, initialised as the first ones were, without moments;
@@ -191,7 +177,7 @@ impl Trainer {
             self.maintain(extent, left, &mut stats);
             self.iteration += 1;
             stats.iterations += 1;
-            losses.push(self.iterate(extent));
+            losses.push(self.iterate(extent, left));
             self.densify_due |= schedule::densify_after(&self.config, self.iteration);
             self.reset_due |= schedule::reset_after(&self.config, self.iteration);
         }
@@ -225,10 +211,10 @@ impl Trainer {
         lap(&mut clock, &mut self.pipeline.seconds.densify);
     }
 
-    /// One iteration; returns the loss.
-    fn iterate(&mut self, extent: f32) -> f64 {
+    /// One iteration, with so many `left`, itself among them; returns the loss.
+    fn iterate(&mut self, extent: f32, left: u32) -> f64 {
         let index = self.next_view();
-        let (_, view, target) = &self.views[index];
+        let (view, target) = self.views[index].at(schedule::coarse(&self.config, left));
         let degree = schedule::degree(&self.config, self.iteration);
         let background = self.config.background;
         self.pipeline.forward(view, degree, background, &self.patient.parameters, false);
@@ -254,7 +240,7 @@ impl Trainer {
     /// Extent of the scene, metres.
     fn extent(&self) -> f32 {
         self.config.extent.unwrap_or_else(|| {
-            let centers: Vec<_> = self.views.iter().map(|(c, ..)| c.pose.center().coords).collect();
+            let centers: Vec<_> = self.views.iter().map(|shot| shot.camera.pose.center().coords).collect();
             let mean = centers.iter().sum::<nalgebra::Vector3<f64>>() / centers.len().max(1) as f64;
             let radius = centers.iter().map(|c| (c - mean).norm()).fold(0.0, f64::max);
             // A single view has no extent; rates must not vanish.

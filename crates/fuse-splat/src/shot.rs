@@ -1,0 +1,95 @@
+//! A view to train on, at the resolutions at which it is looked at.
+
+use fuse_camera::simd::Level;
+use fuse_camera::{Camera, RgbBuffer};
+
+use crate::SplatError;
+use crate::checkpoint;
+use crate::cpu::loss::Target;
+use crate::stages::View;
+
+/// Smaller than this, a side is not halved: windows of SSIM would see little but the rim.
+const SMALLEST: usize = 32;
+
+/// One picture with its camera.
+#[derive(Debug)]
+pub(crate) struct Shot {
+    pub camera: Camera,
+    /// Checksum of the picture.
+    pub print: u32,
+    full: (View, Target),
+    /// Half as wide and half as high; only where the schedule looks at it.
+    half: Option<(View, Target)>,
+}
+
+impl Shot {
+    /// `halved`: also keeps the picture at half its resolution.
+    ///
+    /// # Errors
+    /// If picture and camera differ in size, or are larger than 4096 pixels a side.
+    pub fn new(level: Level, image: &RgbBuffer, camera: &Camera, halved: bool) -> Result<Self, SplatError> {
+        let view = View::new(camera)?;
+        let target = crate::render::target(level, image, &view)?;
+        let half = (halved && view.width.min(view.height) >= 2 * SMALLEST).then(|| {
+            let half = view.halved();
+            let target = Target::new(level, &halve(image), half.width, half.height);
+            (half, target)
+        });
+        Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, target), half })
+    }
+
+    /// Replaces the camera.
+    ///
+    /// # Errors
+    /// If the picture is of another size.
+    pub fn set_camera(&mut self, index: usize, camera: &Camera) -> Result<(), SplatError> {
+        let new = View::new(camera)?;
+        let (view, target) = &mut self.full;
+        if (new.width, new.height) != (target.width, target.height) {
+            return Err(SplatError::Input(format!(
+                "view {index} is {}x{}, its new camera {}x{}",
+                target.width, target.height, new.width, new.height
+            )));
+        }
+        (self.camera, *view) = (*camera, new);
+        if let Some((view, _)) = &mut self.half {
+            *view = new.halved();
+        }
+        Ok(())
+    }
+
+    /// View and picture at full or, where there is one, half resolution.
+    pub fn at(&self, half: bool) -> (&View, &Target) {
+        let (view, target) = self.half.as_ref().filter(|_| half).unwrap_or(&self.full);
+        (view, target)
+    }
+}
+
+/// The mean of each two by two pixels, rounded; an odd last row or column is left out.
+fn halve(image: &RgbBuffer) -> Vec<[u8; 3]> {
+    let (w, h) = (image.width() / 2, image.height() / 2);
+    let mut out = Vec::with_capacity((w * h) as usize);
+    for y in 0..h {
+        let rows = [image.row(2 * y), image.row(2 * y + 1)];
+        for x in 0..w as usize {
+            out.push(std::array::from_fn(|c| {
+                let sum: u32 = rows.iter().flat_map(|r| &r[2 * x..2 * x + 2]).map(|p| u32::from(p[c])).sum();
+                ((sum + 2) / 4) as u8
+            }));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_of_the_pixels_are_means_of_four() {
+        let pixels = (0..5 * 5).map(|i| [i as u8, 10 * i as u8, 7]).collect();
+        let image = RgbBuffer::from_vec(5, 5, pixels).unwrap();
+        // (0 + 1 + 5 + 6) / 4 = 3, (2 + 3 + 7 + 8) / 4 = 5, ten rows' worth further down 10 more.
+        assert_eq!(halve(&image), [[3, 30, 7], [5, 50, 7], [13, 130, 7], [15, 150, 7]]);
+    }
+}
