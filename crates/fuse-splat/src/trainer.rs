@@ -60,6 +60,8 @@ pub struct Trainer {
     pub(crate) densify_due: bool,
     pub(crate) reset_due: bool,
     pipeline: Pipeline,
+    #[cfg(feature = "gpu")]
+    gpu: Option<crate::gpu::Engine>,
 }
 
 impl Trainer {
@@ -89,8 +91,24 @@ impl Trainer {
             densify_due: false,
             reset_due: false,
             pipeline: Pipeline::new(level),
+            #[cfg(feature = "gpu")]
+            gpu: None,
             config,
         })
+    }
+
+    /// [`Self::new`] that trains on a GPU. Schedule, densification and random numbers are the same;
+    /// [`RefineStats::stages`] is filled if the device is [timed](crate::gpu::Device::timed).
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    #[cfg(feature = "gpu")]
+    pub fn with_device(
+        device: &crate::gpu::Device,
+        gaussians: Gaussians,
+        config: TrainerConfig,
+    ) -> Result<Self, SplatError> {
+        Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
     }
 
     /// Adds a view to train on; returns its index.
@@ -100,6 +118,10 @@ impl Trainer {
     pub fn add_view(&mut self, image: &RgbBuffer, camera: &Camera) -> Result<usize, SplatError> {
         let view = View::new(camera)?;
         let target = render::target(self.level, image, &view)?;
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.add_view(image)?;
+        }
         self.views.push((*camera, view, target));
         self.prints.push(checkpoint::print(image));
         // All views, the new one among them, are due from now on.
@@ -186,15 +208,18 @@ impl Trainer {
         let mut stats = RefineStats::default();
         let mut losses = Vec::with_capacity(iterations as usize);
         self.pipeline.seconds = StageSeconds::default();
+        self.lend()?;
         while stats.iterations < iterations && proceed() {
             let left = (iterations - stats.iterations).saturating_add(following);
-            self.maintain(extent, left, &mut stats);
+            self.maintain(extent, left, &mut stats)?;
             self.iteration += 1;
             stats.iterations += 1;
-            losses.push(self.iterate(extent));
+            losses.extend(self.iterate(extent)?);
             self.densify_due |= schedule::densify_after(&self.config, self.iteration);
             self.reset_due |= schedule::reset_after(&self.config, self.iteration);
         }
+        self.take_back()?;
+        losses.extend(self.late_losses()?);
         let tenth = losses.len().div_ceil(10);
         let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len().max(1) as f64;
         stats.loss_first = mean(&losses[..tenth]);
@@ -208,8 +233,13 @@ impl Trainer {
 
     /// What the last iteration left to do. Done before the next iteration and not after the last,
     /// so that what is looked at between two calls has been trained since it was changed.
-    fn maintain(&mut self, extent: f32, left: u32, stats: &mut RefineStats) {
+    fn maintain(&mut self, extent: f32, left: u32, stats: &mut RefineStats) -> Result<(), SplatError> {
+        let reset = self.reset_due && left >= self.config.opacity_reset_margin;
+        if !self.densify_due && !reset {
+            return Ok(());
+        }
         let mut clock = Instant::now();
+        self.take_back()?;
         if std::mem::take(&mut self.densify_due) {
             let large = self.iteration > self.config.opacity_reset_interval;
             let changes = densify(&mut self.patient, &self.config, extent, large, &mut self.rng);
@@ -217,30 +247,69 @@ impl Trainer {
             stats.changes.split += changes.split;
             stats.changes.pruned += changes.pruned;
         }
-        if self.reset_due && left >= self.config.opacity_reset_margin {
+        if reset {
             self.reset_due = false;
             self.patient.reset_opacity(RESET_OPACITY);
             stats.opacity_resets += 1;
         }
+        self.lend()?;
         lap(&mut clock, &mut self.pipeline.seconds.densify);
+        Ok(())
     }
 
-    /// One iteration; returns the loss.
-    fn iterate(&mut self, extent: f32) -> f64 {
+    /// Hands the Gaussians to the GPU, if there is one, …
+    fn lend(&mut self) -> Result<(), SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.upload(&self.patient)?;
+        }
+        Ok(())
+    }
+
+    /// … and takes them back.
+    fn take_back(&mut self) -> Result<(), SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.download(&mut self.patient)?;
+        }
+        Ok(())
+    }
+
+    /// Losses that [`Self::iterate`] did not wait for.
+    fn late_losses(&mut self) -> Result<Vec<f64>, SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            let densify = self.pipeline.seconds.densify;
+            self.pipeline.seconds = StageSeconds { densify, ..gpu.take_seconds() };
+            return gpu.take_losses();
+        }
+        Ok(Vec::new())
+    }
+
+    /// One iteration; returns the loss if it is known already.
+    fn iterate(&mut self, extent: f32) -> Result<Option<f64>, SplatError> {
         let index = self.next_view();
         let (_, view, target) = &self.views[index];
         let degree = schedule::degree(&self.config, self.iteration);
         let background = self.config.background;
+        let rates = schedule::rates(&self.config, self.iteration, extent);
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            let lambda = self.config.lambda_dssim;
+            let settings = crate::gpu::Settings { degree, background, lambda, slot: 0 };
+            gpu.iterate(index, view, settings, &rates, self.iteration)?;
+            return Ok(None);
+        }
         self.pipeline.forward(view, degree, background, &self.patient.parameters, false);
         let loss = self.pipeline.backward(view, target, self.config.lambda_dssim);
 
         let mut clock = Instant::now();
-        let step = Step::new(&schedule::rates(&self.config, self.iteration, extent), self.iteration);
+        let step = Step::new(&rates, self.iteration);
         let Patient { parameters, moments, density } = &mut self.patient;
         let gathered = self.pipeline.gathered(view, degree);
         project_backward::step(self.level, gathered, &step, parameters, moments, density);
         lap(&mut clock, &mut self.pipeline.seconds.project_backward);
-        loss
+        Ok(Some(loss))
     }
 
     fn next_view(&mut self) -> usize {
