@@ -1,12 +1,7 @@
 //! Rendering, gradients and training on the GPU against the CPU, end to end.
 #![cfg(feature = "gpu")]
 
-mod scene {
-    include!("scene/mod.rs");
-    pub mod gpu {
-        include!("scene/gpu.rs");
-    }
-}
+mod scene;
 
 use fuse_camera::RgbBuffer;
 use fuse_camera::simd::best;
@@ -108,16 +103,9 @@ fn bad_input_is_refused_as_on_the_cpu() {
     assert_eq!(error.to_string(), "training needs at least one Gaussian, found none");
 }
 
-/// Densification and a reset of the opacities included.
+/// Densification and harmonics, in quick succession.
 fn config() -> TrainerConfig {
-    TrainerConfig {
-        densify_start: 60,
-        densify_interval: 40,
-        opacity_reset_interval: 90,
-        opacity_reset_margin: 0,
-        degree_interval: 50,
-        ..TrainerConfig::default()
-    }
+    TrainerConfig { densify_start: 60, densify_interval: 40, degree_interval: 50, ..TrainerConfig::default() }
 }
 
 fn add_views(trainer: &mut Trainer, truth: &Gaussians) {
@@ -149,13 +137,13 @@ fn two_hundred_iterations_come_as_far_as_on_the_cpu() {
         let moved = scene::camera(96, 72, 0.401);
         trainer.set_camera(1, &moved).unwrap();
         let second = trainer.refine(50).unwrap();
-        assert_eq!((first.iterations, second.total_iterations, first.opacity_resets), (150, 200, 1));
+        assert_eq!((first.iterations, second.total_iterations), (150, 200));
         assert!(first.changes.cloned + first.changes.split > 0, "densification did nothing");
         stats.push((first, second));
     }
     let (a, b) = (held_out(&cpu.gaussians()), held_out(&gpu.gaussians()));
     println!("held out: CPU {a:.2} dB, GPU {b:.2} dB; {:?}", stats.iter().map(|s| s.1.gaussians).collect::<Vec<_>>());
-    assert!((a - b).abs() < 0.3, "held out: CPU {a:.2} dB, GPU {b:.2} dB");
+    assert!(a > 20.0 && (a - b).abs() < 0.3, "held out: CPU {a:.2} dB, GPU {b:.2} dB");
     let losses = |s: &(fuse_splat::RefineStats, fuse_splat::RefineStats)| [s.0.loss_first, s.0.loss, s.1.loss];
     for (a, b) in losses(&stats[0]).into_iter().zip(losses(&stats[1])) {
         assert!((a / b - 1.0).abs() < 0.05, "losses {:?} and {:?}", losses(&stats[0]), losses(&stats[1]));
@@ -168,7 +156,13 @@ fn the_same_training_gives_the_same_bits() {
     let truth = scene::cloud(60, 11, 0.35, [0.03, 0.12], [0.0, 4.0]);
     let trained = |parts: &[u32]| {
         let start = scene::cloud(300, 12, 0.35, [0.02, 0.08], [-2.0, 0.0]);
-        let config = TrainerConfig { densify_start: 5, densify_interval: 8, ..config() };
+        let config = TrainerConfig {
+            densify_start: 5,
+            densify_interval: 8,
+            opacity_reset_interval: 12,
+            opacity_reset_margin: 0,
+            ..config()
+        };
         let mut trainer = Trainer::with_device(&device, start, config).unwrap();
         add_views(&mut trainer, &truth);
         for &n in parts {

@@ -32,7 +32,7 @@ struct Spans {
 fn block_spans(splat: Splat, top: f32) -> Spans {
     let inverse_a = -1.0 / splat.a;
     let reach = splat.log2_opacity - LOG2_ALPHA_MIN;
-    let columns = f32((frame.size.x + BLOCK_WIDTH - 1u) / BLOCK_WIDTH);
+    let columns = i32((frame.size.x + BLOCK_WIDTH - 1u) / BLOCK_WIDTH);
     var spans: Spans;
     for (var h = 0u; h < 2u; h++) {
         var low = vec4(1e9);
@@ -47,10 +47,12 @@ fn block_spans(splat: Splat, top: f32) -> Spans {
             low = min(low, select(vec4(1e9), center - half, hit));
             high = max(high, select(vec4(-1e9), center + half, hit));
         }
-        // Rounded as in cpu/intersect.rs.
+        // Rounded as in cpu/intersect.rs. Clamped again as integers: what NaN becomes is not defined.
         let scale = 1.0 / f32(BLOCK_WIDTH);
-        spans.low[h] = vec4<i32>(clamp((low + 0.499) * scale, vec4(0.0), vec4(columns)));
-        spans.high[h] = vec4<i32>(clamp((high + (f32(BLOCK_WIDTH) - 0.5)) * scale, vec4(0.0), vec4(columns)));
+        let from_column = vec4<i32>(clamp((low + 0.499) * scale, vec4(0.0), vec4(f32(columns))));
+        let to_column = vec4<i32>(clamp((high + (f32(BLOCK_WIDTH) - 0.5)) * scale, vec4(0.0), vec4(f32(columns))));
+        spans.low[h] = clamp(from_column, vec4(0), vec4(columns));
+        spans.high[h] = clamp(to_column, vec4(0), vec4(columns));
     }
     return spans;
 }
@@ -75,8 +77,8 @@ fn tile_row(y: f32) -> u32 {
     return min(u32(max(y, 0.0) / f32(TILE_HEIGHT)), frame.tiles.y - 1u);
 }
 
-/// Tiles that a splat touches, row by row; where `first ≤ end`, writes the pairs from `first` on,
-/// at most up to `end`. Returns their number.
+/// Tiles that a splat touches, row by row, and their number. If asked to, writes the pairs from place
+/// `first` on, but not beyond `end`.
 fn touch(gaussian: u32, writes: bool, first: u32, end: u32) -> u32 {
     let splat = splats[gaussian];
     var at = first;

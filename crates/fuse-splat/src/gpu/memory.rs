@@ -16,7 +16,9 @@ pub(crate) struct Array {
 
 impl Array {
     pub fn new(gpu: &Gpu, label: &'static str) -> Self {
-        Self { label, buffer: storage(gpu, label, 4), words: 1 }
+        // No binding may be empty; four words are the largest element of an array that is bound
+        // before its length is known.
+        Self { label, buffer: storage(gpu, label, 4 * WORD), words: 4 }
     }
 
     /// From numbers.

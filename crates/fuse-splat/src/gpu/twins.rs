@@ -55,6 +55,21 @@ pub struct Iteration {
     pub stepped: Twins<[Table; 3]>,
 }
 
+/// Which step of Adam is taken.
+const STEP: u32 = 7;
+
+/// Some moments, as if steps had been taken before.
+fn past(table: &Table) -> [Table; 2] {
+    let moment = |of: fn(f32) -> f32| {
+        let mut moment = Table::zeros(table.len());
+        for (i, row) in (0..table.len()).flat_map(|i| (0..PARAMETERS).map(move |row| (i, row))) {
+            moment.set(i, row, of(table.get(i, row)));
+        }
+        moment
+    };
+    [moment(|x| 1e-4 * x), moment(|x| 1e-7 * x * x + 1e-9)]
+}
+
 fn numbers(s: &Splat) -> [f32; SPLAT] {
     let [x, y] = s.mean;
     let [red, green, blue] = s.color;
@@ -86,9 +101,10 @@ pub fn iteration(
     let loss = cpu.backward(&view, &target, lambda);
     let gradient = project_backward::gradient(level, cpu.gathered(&view, MAX_DEGREE), &gaussians.table);
     let mut patient = Patient::new(gaussians.table.clone());
+    patient.moments = past(&gaussians.table);
     let Patient { parameters, moments, density } = &mut patient;
     let gathered = cpu.gathered(&view, MAX_DEGREE);
-    project_backward::step(level, gathered, &Step::new(rates, 1), parameters, moments, density);
+    project_backward::step(level, gathered, &Step::new(rates, STEP), parameters, moments, density);
     let cpu_splats: Vec<_> = cpu.splats.iter().map(numbers).collect();
     let cpu_tiles = tiles_of_cpu(&cpu, &view);
 
@@ -96,9 +112,10 @@ pub fn iteration(
     let gpu = &device.gpu;
     let settings = Settings { degree: MAX_DEGREE, background, lambda, slot: 0 };
     let mut p = load(device, gaussians, &view, &settings)?;
-    p.arrays.first.write(gpu, &words(&Table::zeros(n)))?;
-    p.arrays.second.write(gpu, &words(&Table::zeros(n)))?;
-    p.arrays.rates.write(gpu, &step(rates, 1))?;
+    let [first, second] = past(&gaussians.table);
+    p.arrays.first.write(gpu, &words(&first))?;
+    p.arrays.second.write(gpu, &words(&second))?;
+    p.arrays.rates.write(gpu, &step(rates, STEP))?;
     let truth = truth(device, image)?;
 
     let mut encoder = p.encoder();
