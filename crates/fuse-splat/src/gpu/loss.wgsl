@@ -49,16 +49,61 @@ fn true_value(i: u32, channel: u32) -> f32 {
     return f32((truth[i] >> (8u * channel)) & 255u) * (1.0 / 255.0);
 }
 
-fn window(k: u32) -> f32 {
-    var weights = SSIM_WEIGHTS;
-    return weights[k];
-}
-
 var<workgroup> patch_x: array<f32, WIDE * WIDE>;
 var<workgroup> patch_y: array<f32, WIDE * WIDE>;
 /// Blurs along the rows: x, y, x², y², and x y.
 var<workgroup> along: array<vec4<f32>, WIDE * SIDE>;
 var<workgroup> along_xy: array<f32, WIDE * SIDE>;
+
+/// x, y, x², y² of a pixel of the patch.
+fn moments(i: u32) -> vec4<f32> {
+    let x = patch_x[i];
+    let y = patch_y[i];
+    return vec4(x, y, x * x, y * y);
+}
+
+fn product(i: u32) -> f32 {
+    return patch_x[i] * patch_y[i];
+}
+
+// The windows are written out and folded (they are symmetric): as loops, their weights would lie in
+// memory. `c` is the centre.
+
+fn window_moments(c: u32) -> vec4<f32> {
+    return W0 * moments(c)
+        + W1 * (moments(c - 1u) + moments(c + 1u))
+        + W2 * (moments(c - 2u) + moments(c + 2u))
+        + W3 * (moments(c - 3u) + moments(c + 3u))
+        + W4 * (moments(c - 4u) + moments(c + 4u))
+        + W5 * (moments(c - 5u) + moments(c + 5u));
+}
+
+fn window_product(c: u32) -> f32 {
+    return W0 * product(c)
+        + W1 * (product(c - 1u) + product(c + 1u))
+        + W2 * (product(c - 2u) + product(c + 2u))
+        + W3 * (product(c - 3u) + product(c + 3u))
+        + W4 * (product(c - 4u) + product(c + 4u))
+        + W5 * (product(c - 5u) + product(c + 5u));
+}
+
+fn window_along(c: u32) -> vec4<f32> {
+    return W0 * along[c]
+        + W1 * (along[c - SIDE] + along[c + SIDE])
+        + W2 * (along[c - 2u * SIDE] + along[c + 2u * SIDE])
+        + W3 * (along[c - 3u * SIDE] + along[c + 3u * SIDE])
+        + W4 * (along[c - 4u * SIDE] + along[c + 4u * SIDE])
+        + W5 * (along[c - 5u * SIDE] + along[c + 5u * SIDE]);
+}
+
+fn window_along_xy(c: u32) -> f32 {
+    return W0 * along_xy[c]
+        + W1 * (along_xy[c - SIDE] + along_xy[c + SIDE])
+        + W2 * (along_xy[c - 2u * SIDE] + along_xy[c + 2u * SIDE])
+        + W3 * (along_xy[c - 3u * SIDE] + along_xy[c + 3u * SIDE])
+        + W4 * (along_xy[c - 4u * SIDE] + along_xy[c + 4u * SIDE])
+        + W5 * (along_xy[c - 5u * SIDE] + along_xy[c + 5u * SIDE]);
+}
 
 @compute @workgroup_size(16, 16)
 fn slopes(
@@ -83,25 +128,14 @@ fn slopes(
     }
     workgroupBarrier();
     for (var i = thread; i < WIDE * SIDE; i += THREADS) {
-        let from_pixel = i / SIDE * WIDE + i % SIDE;
-        var sum = vec4(0.0);
-        var sum_xy = 0.0;
-        for (var k = 0u; k < SSIM_WINDOW; k++) {
-            let x = patch_x[from_pixel + k];
-            let y = patch_y[from_pixel + k];
-            sum += window(k) * vec4(x, y, x * x, y * y);
-            sum_xy += window(k) * x * y;
-        }
-        along[i] = sum;
-        along_xy[i] = sum_xy;
+        let center = i / SIDE * WIDE + i % SIDE + HALF;
+        along[i] = window_moments(center);
+        along_xy[i] = window_product(center);
     }
     workgroupBarrier();
-    var blurred = vec4(0.0);
-    var xy = 0.0;
-    for (var k = 0u; k < SSIM_WINDOW; k++) {
-        blurred += window(k) * along[(local.y + k) * SIDE + local.x];
-        xy += window(k) * along_xy[(local.y + k) * SIDE + local.x];
-    }
+    let center = (local.y + HALF) * SIDE + local.x;
+    let blurred = window_along(center);
+    let xy = window_along_xy(center);
     // SSIM and its derivatives with respect to B x, B x² and B xy.
     let mx = blurred.x;
     let my = blurred.y;
@@ -134,6 +168,24 @@ fn slopes(
 var<workgroup> slope_patch: array<f32, 3u * WIDE * WIDE>;
 var<workgroup> slope_along: array<f32, 3u * WIDE * SIDE>;
 
+fn window_patch(c: u32) -> f32 {
+    return W0 * slope_patch[c]
+        + W1 * (slope_patch[c - 1u] + slope_patch[c + 1u])
+        + W2 * (slope_patch[c - 2u] + slope_patch[c + 2u])
+        + W3 * (slope_patch[c - 3u] + slope_patch[c + 3u])
+        + W4 * (slope_patch[c - 4u] + slope_patch[c + 4u])
+        + W5 * (slope_patch[c - 5u] + slope_patch[c + 5u]);
+}
+
+fn window_slope(c: u32) -> f32 {
+    return W0 * slope_along[c]
+        + W1 * (slope_along[c - SIDE] + slope_along[c + SIDE])
+        + W2 * (slope_along[c - 2u * SIDE] + slope_along[c + 2u * SIDE])
+        + W3 * (slope_along[c - 3u * SIDE] + slope_along[c + 3u * SIDE])
+        + W4 * (slope_along[c - 4u * SIDE] + slope_along[c + 4u * SIDE])
+        + W5 * (slope_along[c - 5u * SIDE] + slope_along[c + 5u * SIDE]);
+}
+
 @compute @workgroup_size(16, 16)
 fn gradient(
     @builtin(local_invocation_id) local: vec3<u32>,
@@ -156,25 +208,16 @@ fn gradient(
     }
     workgroupBarrier();
     for (var i = thread; i < WIDE * SIDE; i += THREADS) {
-        let from_pixel = i / SIDE * WIDE + i % SIDE;
+        let center = i / SIDE * WIDE + i % SIDE + HALF;
         for (var s = 0u; s < 3u; s++) {
-            var sum = 0.0;
-            for (var k = 0u; k < SSIM_WINDOW; k++) {
-                sum += window(k) * slope_patch[s * WIDE * WIDE + from_pixel + k];
-            }
-            slope_along[s * WIDE * SIDE + i] = sum;
+            slope_along[s * WIDE * SIDE + i] = window_patch(s * WIDE * WIDE + center);
         }
     }
     workgroupBarrier();
-    var blurred = vec3(0.0);
-    for (var k = 0u; k < SSIM_WINDOW; k++) {
-        let at = (local.y + k) * SIDE + local.x;
-        blurred += window(k) * vec3(
-            slope_along[at],
-            slope_along[WIDE * SIDE + at],
-            slope_along[2u * WIDE * SIDE + at],
-        );
-    }
+    let center = (local.y + HALF) * SIDE + local.x;
+    let d_mean = window_slope(center);
+    let d_xx = window_slope(WIDE * SIDE + center);
+    let d_xy = window_slope(2u * WIDE * SIDE + center);
     let p = vec2<i32>(group.xy * SIDE + local.xy);
     let scale = 1.0 / f32(3u * n);
     var own = 0.0;
@@ -183,7 +226,7 @@ fn gradient(
         let x = image[at];
         let y = true_value(pixel_index(p), channel);
         own = abs(x - y);
-        let ssim = blurred.x + 2.0 * x * blurred.y + y * blurred.z;
+        let ssim = d_mean + 2.0 * x * d_xx + y * d_xy;
         gradient_planes[at] = (1.0 - frame.lambda) * scale * sign(x - y) - frame.lambda * scale * ssim;
     }
     let sum = workgroup_sum(own, thread);

@@ -6,6 +6,11 @@
 use crate::constants as c;
 use crate::table::LANES;
 
+// tile.wgsl and intersect.wgsl give a thread a block, a vec4 a row of it and a byte of the mask a row
+// of blocks; loss.wgsl writes the window out.
+const _: () = assert!(c::TILE_BLOCKS == 64 && c::TILE_WIDTH == 32 && c::BLOCK_WIDTH == 4 && c::BLOCK_HEIGHT == 2);
+const _: () = assert!(c::SSIM_WINDOW == 11);
+
 /// A WGSL module.
 #[derive(Debug)]
 pub struct Stage {
@@ -97,17 +102,15 @@ fn constants() -> String {
     for (name, value) in numbers {
         out.push_str(&format!("const {name}: f32 = {value:?}f;\n"));
     }
-    let weights = ssim_weights().map(|w| format!("{w:?}f")).join(", ");
-    out.push_str(&format!("const SSIM_WEIGHTS: array<f32, SSIM_WINDOW> = array({weights});\n"));
+    for (distance, weight) in ssim_weights().into_iter().enumerate() {
+        out.push_str(&format!("const W{distance}: f32 = {weight:?}f;\n"));
+    }
     out
 }
 
-/// The SSIM window; it adds up to one.
-fn ssim_weights() -> [f32; c::SSIM_WINDOW] {
-    let w: [f64; c::SSIM_WINDOW] = std::array::from_fn(|i| {
-        let d = i as f64 - (c::SSIM_WINDOW / 2) as f64;
-        (-d * d / (2.0 * c::SSIM_SIGMA * c::SSIM_SIGMA)).exp()
-    });
-    let sum: f64 = w.iter().sum();
-    w.map(|v| (v / sum) as f32)
+/// Half the SSIM window, from its centre; the whole adds up to one.
+fn ssim_weights() -> [f32; c::SSIM_WINDOW / 2 + 1] {
+    let weight = |d: usize| (-((d * d) as f64) / (2.0 * c::SSIM_SIGMA * c::SSIM_SIGMA)).exp();
+    let sum: f64 = (0..c::SSIM_WINDOW).map(|i| weight(i.abs_diff(c::SSIM_WINDOW / 2))).sum();
+    std::array::from_fn(|d| (weight(d) / sum) as f32)
 }
