@@ -161,3 +161,17 @@ fn a_crowd() {
 fn a_wall_of_opaque_ones() {
     run(&scene::cloud(1200, 9, 0.3, [0.05, 0.2], [3.0, 7.0]), 65, 33, 1.0);
 }
+
+/// Twice the same, so that depths are equal; more than one step of the scan takes.
+#[test]
+fn many_with_equal_depths() {
+    let once = scene::cloud(3000, 7, 0.5, [0.003, 0.02], [-1.0, 4.0]);
+    let vectors: Vec<[f32; 59]> = (0..6000).map(|i| once.vector(i % 3000)).collect();
+    run(&Gaussians::from_vectors(&vectors), 111, 77, 3.0);
+}
+
+/// The list of tiles needs no sorting.
+#[test]
+fn a_single_tile() {
+    run(&scene::cloud(200, 13, 0.3, [0.02, 0.1], [-1.0, 4.0]), 19, 11, 0.1);
+}
