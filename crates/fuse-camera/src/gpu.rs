@@ -123,7 +123,8 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Its queue.
     pub queue: wgpu::Queue,
-    info: wgpu::AdapterInfo,
+    name: String,
+    software: bool,
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -140,10 +141,10 @@ impl Gpu {
         let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         let infos: Vec<_> = adapters.iter().map(wgpu::Adapter::get_info).collect();
         let index = pick(&infos, software)?;
-        Self::from_adapter(&adapters[index], infos[index].clone())
+        Self::from_adapter(&adapters[index], &infos[index])
     }
 
-    fn from_adapter(adapter: &wgpu::Adapter, info: wgpu::AdapterInfo) -> Result<Self, GpuError> {
+    fn from_adapter(adapter: &wgpu::Adapter, info: &wgpu::AdapterInfo) -> Result<Self, GpuError> {
         let offered = adapter.limits();
         // WebGPU's defaults, so that what runs here runs everywhere; only buffers may be as large
         // as the adapter allows.
@@ -165,17 +166,18 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, what| {
             note(&of_device, format!("device lost ({reason:?}): {what}"))
         });
-        Ok(Self { device, queue, info, failure })
+        let name = format!("{}, {:?}", info.name, info.backend);
+        Ok(Self { device, queue, name, software: is_software(info), failure })
     }
 
     /// Its name and the interface it is driven through, as `NVIDIA L4, Vulkan`.
-    pub fn name(&self) -> String {
-        format!("{}, {:?}", self.info.name, self.info.backend)
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// Whether the CPU emulates it.
     pub fn is_software(&self) -> bool {
-        is_software(&self.info)
+        self.software
     }
 
     /// What went wrong since it was opened.

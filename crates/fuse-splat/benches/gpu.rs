@@ -6,6 +6,7 @@
 
 mod tabletop;
 
+use std::hint::black_box;
 use std::time::Instant;
 
 use fuse_camera::gpu::{Gpu, Software};
@@ -43,11 +44,23 @@ fn main() {
         let mut fast = new(&device);
         add_views(&mut fast, &gaussians);
         fast.refine(2).expect("views are there");
-        let iterate = |trainer: &mut Trainer| mean(runs, |n| drop(trainer.refine(n).expect("views are there")));
+        let iterate = |trainer: &mut Trainer| {
+            mean(runs, |n| {
+                trainer.refine(n).expect("views are there");
+            })
+        };
         println!("  iteration, milliseconds: gpu {:.2}, cpu {:.2}", iterate(&mut fast), iterate(&mut cpu));
         let view = camera(0.3);
-        let on_gpu = mean(runs, |n| (0..n).for_each(|_| drop(gpu::render(&device, &gaussians, &view, [0.0; 3]))));
-        let on_cpu = mean(runs, |n| (0..n).for_each(|_| drop(render(&gaussians, &view, [0.0; 3]))));
+        let on_gpu = mean(runs, |n| {
+            for _ in 0..n {
+                black_box(gpu::render(&device, &gaussians, &view, [0.0; 3])).expect("a small image");
+            }
+        });
+        let on_cpu = mean(runs, |n| {
+            for _ in 0..n {
+                black_box(render(&gaussians, &view, [0.0; 3])).expect("a small image");
+            }
+        });
         println!("  render, milliseconds: gpu {on_gpu:.2}, cpu {on_cpu:.2}");
     }
 }

@@ -36,7 +36,7 @@ impl Device {
     }
 
     /// Its name.
-    pub fn name(&self) -> String {
+    pub fn name(&self) -> &str {
         self.gpu.name()
     }
 
