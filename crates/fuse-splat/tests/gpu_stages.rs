@@ -1,5 +1,4 @@
 //! Every stage on the GPU against its CPU twin, from the same inputs.
-#![cfg(feature = "gpu")]
 
 mod scene;
 

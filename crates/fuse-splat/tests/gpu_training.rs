@@ -1,5 +1,4 @@
 //! Rendering, gradients and training on the GPU against the CPU, end to end.
-#![cfg(feature = "gpu")]
 
 mod scene;
 

@@ -82,7 +82,11 @@ impl Kernels {
                 layout: None,
                 module,
                 entry_point: Some(entry),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                // The stages write what they read; zeroing 12 KiB first would cost every tile.
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
                 cache: None,
             })
         };
