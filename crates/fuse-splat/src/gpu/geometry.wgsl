@@ -1,6 +1,8 @@
 // What both directions of the projection compute of one Gaussian; formulas in cpu/project.rs.
 
-@group(0) @binding(0) var<uniform> frame: Frame;
+// Not a uniform, as elsewhere: Mesa's lavapipe compiles a stage anew for every dispatch if a loop ends
+// at a uniform (the degree of the harmonics).
+@group(0) @binding(0) var<storage, read> frame: Frame;
 /// 59 numbers a Gaussian, in blocks of eight.
 @group(0) @binding(1) var<storage, read> table: array<f32>;
 

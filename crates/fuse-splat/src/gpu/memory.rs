@@ -104,9 +104,9 @@ fn storage(gpu: &Gpu, label: &'static str, size: u64) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
 }
 
-/// A uniform buffer that holds `value`.
+/// A uniform buffer, for some stages a storage buffer, that holds `value`.
 pub(crate) fn uniform<T: bytemuck::Pod>(gpu: &Gpu, label: &'static str, value: &T) -> wgpu::Buffer {
-    let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+    let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
     let size = size_of::<T>() as u64;
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
