@@ -111,6 +111,15 @@ impl Trainer {
         Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
     }
 
+    /// What decides the last bits: the SIMD level, or the GPU.
+    pub fn runs_on(&self) -> String {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &self.gpu {
+            return gpu.name().into();
+        }
+        self.level.name().into()
+    }
+
     /// Adds a view to train on; returns its index.
     ///
     /// # Errors

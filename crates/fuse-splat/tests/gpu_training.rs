@@ -173,3 +173,26 @@ fn the_same_training_gives_the_same_bits() {
     assert!(whole == trained(&[25]), "twice the same is not the same");
     assert!(whole == trained(&[8, 0, 16, 1]), "a call cut in pieces is not the same call");
 }
+
+#[test]
+fn a_checkpoint_continues_on_the_same_gpu_only() {
+    let Some(device) = scene::gpu::device() else { return };
+    let start = scene::cloud(100, 12, 0.35, [0.02, 0.08], [-2.0, 0.0]);
+    let truth = scene::cloud(60, 11, 0.35, [0.03, 0.12], [0.0, 4.0]);
+    let new = || Trainer::with_device(&device, start.clone(), config()).unwrap();
+    let (mut first, mut second, mut cpu) = (new(), new(), Trainer::new(start.clone(), config()).unwrap());
+    for trainer in [&mut first, &mut second, &mut cpu] {
+        add_views(trainer, &truth);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint");
+    first.refine(7).unwrap();
+    first.save_checkpoint(&path, "").unwrap();
+    first.refine(5).unwrap();
+    second.load_checkpoint(&path).unwrap();
+    second.refine(5).unwrap();
+    assert!(first.gaussians() == second.gaussians(), "it continues otherwise");
+    let text = cpu.load_checkpoint(&path).unwrap_err().to_string();
+    let expected = format!("written on {}, this training runs on {};", device.name(), best().name());
+    assert!(text.contains(&expected), "{text}");
+}

@@ -35,6 +35,10 @@ impl Engine {
         Self { pipeline: Pipeline::new(device), truths: Vec::new(), gaussians: 0, waiting: 0, losses: Vec::new() }
     }
 
+    pub fn name(&self) -> &str {
+        self.pipeline.device.name()
+    }
+
     pub fn add_view(&mut self, image: &RgbBuffer) -> Result<(), SplatError> {
         self.truths.push(truth(&self.pipeline.device, image)?);
         Ok(())
