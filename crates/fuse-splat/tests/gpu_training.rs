@@ -4,7 +4,7 @@ mod scene;
 
 use fuse_camera::RgbBuffer;
 use fuse_camera::simd::best;
-use fuse_splat::{Gaussians, Trainer, TrainerConfig, gpu, loss_gradient, psnr, render};
+use fuse_splat::{Gaussians, RefineStats, Trainer, TrainerConfig, gpu, loss_gradient, psnr, render};
 
 fn flat(r: &fuse_splat::Rendering) -> Vec<f32> {
     r.color.as_slice().iter().flatten().copied().collect()
@@ -114,39 +114,71 @@ fn add_views(trainer: &mut Trainer, truth: &Gaussians) {
     }
 }
 
+/// Points near the true ones, as a reconstruction would find them.
+fn start(truth: &Gaussians) -> Gaussians {
+    let mut r = scene::Random::new(2);
+    let xyz: Vec<_> = (0..truth.len()).map(|i| truth.position(i).map(|v| v + r.between(-0.01, 0.01))).collect();
+    Gaussians::from_points(&xyz, &vec![[0.5; 3]; truth.len()]).unwrap()
+}
+
+/// PSNR over eight views that were not trained on.
+fn held_out(trained: &Gaussians, truth: &Gaussians) -> f64 {
+    let pixels = |g: &Gaussians| -> Vec<f32> {
+        let angles = (0..8).map(|k| 0.1 + 0.15 * f64::from(k));
+        angles.flat_map(|angle| flat(&render(g, &scene::camera(96, 72, angle), [0.0; 3]).unwrap())).collect()
+    };
+    psnr(&pixels(trained), &pixels(truth)).unwrap()
+}
+
+/// Two hundred iterations in two calls, with new points and a moved camera in between.
+fn train(mut trainer: Trainer, truth: &Gaussians) -> (Gaussians, [RefineStats; 2]) {
+    add_views(&mut trainer, truth);
+    let first = trainer.refine(150).unwrap();
+    assert_eq!(trainer.add_points(&[[0.1, 0.1, 0.3]; 5], &[[1.0, 0.0, 0.0]; 5]).unwrap(), 5);
+    trainer.set_camera(1, &scene::camera(96, 72, 0.401)).unwrap();
+    let second = trainer.refine(50).unwrap();
+    assert_eq!((first.iterations, second.total_iterations), (150, 200));
+    (trainer.gaussians(), [first, second])
+}
+
 #[test]
 fn two_hundred_iterations_come_as_far_as_on_the_cpu() {
     let Some(device) = scene::gpu::device() else { return };
     let truth = scene::cloud(150, 21, 0.35, [0.03, 0.1], [1.0, 4.0]);
-    let mut r = scene::Random::new(2);
-    let xyz: Vec<_> = (0..truth.len()).map(|i| truth.position(i).map(|v| v + r.between(-0.01, 0.01))).collect();
-    let start = Gaussians::from_points(&xyz, &vec![[0.5; 3]; truth.len()]).unwrap();
-    let held_out = |g: &Gaussians| {
-        let camera = scene::camera(96, 72, 0.6);
-        psnr(&flat(&render(g, &camera, [0.0; 3]).unwrap()), &flat(&render(&truth, &camera, [0.0; 3]).unwrap())).unwrap()
-    };
-    let mut cpu = Trainer::new(start.clone(), config()).unwrap();
-    let mut gpu = Trainer::with_device(&device, start, config()).unwrap();
-    let mut stats = Vec::new();
-    for trainer in [&mut cpu, &mut gpu] {
-        add_views(trainer, &truth);
-        let first = trainer.refine(150).unwrap();
-        let added = trainer.add_points(&[[0.1, 0.1, 0.3]; 5], &[[1.0, 0.0, 0.0]; 5]).unwrap();
-        assert_eq!(added, 5);
-        let moved = scene::camera(96, 72, 0.401);
-        trainer.set_camera(1, &moved).unwrap();
-        let second = trainer.refine(50).unwrap();
-        assert_eq!((first.iterations, second.total_iterations), (150, 200));
-        assert!(first.changes.cloned + first.changes.split > 0, "densification did nothing");
-        stats.push((first, second));
+    let config = || TrainerConfig { densify_start: u32::MAX, ..config() };
+    let (cpu, on_cpu) = train(Trainer::new(start(&truth), config()).unwrap(), &truth);
+    let (gpu, on_gpu) = train(Trainer::with_device(&device, start(&truth), config()).unwrap(), &truth);
+    let (a, b) = (held_out(&cpu, &truth), held_out(&gpu, &truth));
+    println!("held out: CPU {a:.3} dB, GPU {b:.3} dB");
+    assert!(a > 20.0 && (a - b).abs() < 0.1, "held out: CPU {a:.2} dB, GPU {b:.2} dB");
+    for (a, b) in on_cpu.iter().zip(&on_gpu) {
+        for (a, b) in [(a.loss_first, b.loss_first), (a.loss, b.loss)] {
+            assert!((a / b - 1.0).abs() < 0.02, "loss {b} on the GPU, {a} on the CPU");
+        }
     }
-    let (a, b) = (held_out(&cpu.gaussians()), held_out(&gpu.gaussians()));
-    println!("held out: CPU {a:.2} dB, GPU {b:.2} dB; {:?}", stats.iter().map(|s| s.1.gaussians).collect::<Vec<_>>());
-    assert!(a > 20.0 && (a - b).abs() < 0.3, "held out: CPU {a:.2} dB, GPU {b:.2} dB");
-    let losses = |s: &(fuse_splat::RefineStats, fuse_splat::RefineStats)| [s.0.loss_first, s.0.loss, s.1.loss];
-    for (a, b) in losses(&stats[0]).into_iter().zip(losses(&stats[1])) {
-        assert!((a / b - 1.0).abs() < 0.05, "losses {:?} and {:?}", losses(&stats[0]), losses(&stats[1]));
+}
+
+/// Densification multiplies the last bits: on one seed and view, two SIMD levels of the CPU were seen
+/// 0.34 dB apart. Three seeds and eight views tell whether one side is better.
+#[test]
+fn two_hundred_iterations_with_densification_come_as_far_as_on_the_cpu() {
+    let Some(device) = scene::gpu::device() else { return };
+    let truth = scene::cloud(150, 21, 0.35, [0.03, 0.1], [1.0, 4.0]);
+    let (mut cpu, mut gpu) = (0.0, 0.0);
+    for seed in 0..3 {
+        let config = || TrainerConfig { seed, ..config() };
+        let (on_cpu, a) = train(Trainer::new(start(&truth), config()).unwrap(), &truth);
+        let (on_gpu, b) = train(Trainer::with_device(&device, start(&truth), config()).unwrap(), &truth);
+        for stats in [&a[0], &b[0]] {
+            assert!(stats.changes.cloned + stats.changes.split > 0, "densification did nothing");
+        }
+        let (a, b) = (on_cpu.len(), on_gpu.len());
+        assert!(a.abs_diff(b) * 50 < a, "{b} Gaussians on the GPU, {a} on the CPU");
+        cpu += held_out(&on_cpu, &truth) / 3.0;
+        gpu += held_out(&on_gpu, &truth) / 3.0;
     }
+    println!("held out: CPU {cpu:.2} dB, GPU {gpu:.2} dB");
+    assert!(cpu > 25.0 && (cpu - gpu).abs() < 0.3, "held out: CPU {cpu:.2} dB, GPU {gpu:.2} dB");
 }
 
 #[test]
