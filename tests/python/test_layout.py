@@ -106,6 +106,15 @@ def test_vector_intrinsics_and_unsafe_are_confined():
             assert len(found) == int(lent), path.relative_to(ROOT)
 
 
+def test_only_gpu_modules_name_wgpu():
+    for path in CRATES.glob("*/src/**/*.rs"):
+        if path.stem != "gpu" and path.parent.name != "gpu":
+            assert not re.search(r"\b(wgpu|naga)\b", path.read_text()), path.relative_to(ROOT)
+    for manifest in CRATES.glob("*/Cargo.toml"):
+        default = re.search(r"^default\s*=.*", manifest.read_text(), re.M)
+        assert not default or "gpu" not in default[0], f"{manifest.parent.name} needs no GPU stack by default"
+
+
 def test_files_stay_readable():
     long = {
         str(path.relative_to(ROOT)): n

@@ -129,7 +129,8 @@ def test_too_few_points_leave_the_map_away_and_do_not_fail():
 
 
 def test_a_maps_settings_are_the_trainers_and_three_of_its_own():
-    assert asdict(MapConfig()) == asdict(splat.TrainerConfig())  # one set of defaults
+    # One set of defaults, but for the resolution: a refinement within an episode is short.
+    assert asdict(MapConfig()) == asdict(splat.TrainerConfig(fine_iterations=160))
     ours = set(MapConfig.model_fields) - {f.name for f in fields(splat.TrainerConfig)}
     assert ours == {"initial_iterations", "incremental_iterations", "add_points"}
     config = Config.load(None, ["map.degree=1", "map.seed=3", "map.extent=0.5", "map.background=[1, 1, 1]"])

@@ -6,6 +6,8 @@
 //! `[i, i + 1) × [j, j + 1)`, its centre is at `(i + 0.5, j + 0.5)`, as in COLMAP.
 
 mod buffer;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod motion;
 mod pinhole;
 mod pose;

@@ -36,6 +36,7 @@ struct Header {
     rng_word: String,
     /// All settings, in words: compared, never parsed.
     config: String,
+    /// SIMD level or GPU.
     level: String,
     /// One line a view: camera and checksum of its image.
     views: Vec<String>,
@@ -59,7 +60,7 @@ impl Trainer {
             rng_stream: self.rng.get_stream(),
             rng_word: self.rng.get_word_pos().to_string(),
             config: format!("{:?}", self.config),
-            level: self.level.name().into(),
+            level: self.runs_on(),
             views: self.view_lines(),
             note: note.into(),
         };
@@ -77,7 +78,7 @@ impl Trainer {
     }
 
     /// Takes over the state of a checkpoint; returns its note. This trainer must have the settings,
-    /// the SIMD level and the views, in their order, of the one that wrote it; its Gaussians are
+    /// the SIMD level or GPU and the views, in their order, of the one that wrote it; its Gaussians are
     /// replaced.
     ///
     /// # Errors
@@ -107,11 +108,11 @@ impl Trainer {
             let (old, new) = first_difference(&header.config, &config);
             return Err(format!("written by a training with other settings: `{old}` there, `{new}` here"));
         }
-        if header.level != self.level.name() {
+        let here = self.runs_on();
+        if header.level != here {
             return Err(format!(
-                "written at SIMD level {}, this training runs at {}; it would not continue bit for bit",
-                header.level,
-                self.level.name()
+                "written on {}, this training runs on {here}; it would not continue bit for bit",
+                header.level
             ));
         }
         let views = self.view_lines();

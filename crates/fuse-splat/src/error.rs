@@ -22,6 +22,10 @@ pub enum SplatError {
     /// An argument is out of range.
     #[error("{0}")]
     Input(String),
+    /// There is no GPU, or it failed.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] fuse_camera::gpu::GpuError),
 }
 
 impl SplatError {

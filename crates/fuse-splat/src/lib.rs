@@ -19,6 +19,7 @@ mod densify;
 mod error;
 mod files;
 mod gaussians;
+pub mod gpu;
 mod nearest;
 mod ply;
 mod quality;

@@ -53,28 +53,45 @@ pub fn render_at(
     pipeline.level = level;
     pipeline.forward(&view, MAX_DEGREE, background, &gaussians.table, true);
     let image = &pipeline.image;
-    let n = view.pixels();
-    let color = (0..n)
-        .into_par_iter()
-        .with_min_len(CHUNK)
-        .map(|i| [0, 1, 2].map(|c| image.color[c * n + i].clamp(0.0, 1.0)))
-        .collect();
-    let alpha: Vec<f32> = image.transmittance.par_iter().with_min_len(CHUNK).map(|t| 1.0 - t).collect();
-    let depth = image
-        .depth
-        .par_iter()
-        .zip(&alpha)
-        .with_min_len(CHUNK)
-        .map(|(&d, &a)| if a > 0.0 { d / a } else { 0.0 })
-        .collect();
+    let rendering =
+        Drawn { color: &image.color, transmittance: &image.transmittance, depth: &image.depth }.rendering(&view);
     PIPELINE.set(Some(pipeline));
-    let buffer = |e: fuse_camera::BufferError| SplatError::Input(e.to_string());
-    let (w, h) = (view.width as u32, view.height as u32);
-    Ok(Rendering {
-        color: Buffer::from_vec(w, h, color).map_err(buffer)?,
-        alpha: Buffer::from_vec(w, h, alpha).map_err(buffer)?,
-        depth: Buffer::from_vec(w, h, depth).map_err(buffer)?,
-    })
+    rendering
+}
+
+/// Planes as a backend leaves them.
+pub(crate) struct Drawn<'a> {
+    /// Red, green, blue.
+    pub color: &'a [f32],
+    pub transmittance: &'a [f32],
+    /// Σ wᵢ zᵢ, metres.
+    pub depth: &'a [f32],
+}
+
+impl Drawn<'_> {
+    pub fn rendering(&self, view: &View) -> Result<Rendering, SplatError> {
+        let n = view.pixels();
+        let color = (0..n)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|i| [0, 1, 2].map(|c| self.color[c * n + i].clamp(0.0, 1.0)))
+            .collect();
+        let alpha: Vec<f32> = self.transmittance.par_iter().with_min_len(CHUNK).map(|t| 1.0 - t).collect();
+        let depth = self
+            .depth
+            .par_iter()
+            .zip(&alpha)
+            .with_min_len(CHUNK)
+            .map(|(&d, &a)| if a > 0.0 { d / a } else { 0.0 })
+            .collect();
+        let buffer = |e: fuse_camera::BufferError| SplatError::Input(e.to_string());
+        let (w, h) = (view.width as u32, view.height as u32);
+        Ok(Rendering {
+            color: Buffer::from_vec(w, h, color).map_err(buffer)?,
+            alpha: Buffer::from_vec(w, h, alpha).map_err(buffer)?,
+            depth: Buffer::from_vec(w, h, depth).map_err(buffer)?,
+        })
+    }
 }
 
 /// The training loss of one view, (1 − λ) L1 + λ (1 − SSIM), and its derivative with respect to
@@ -101,6 +118,12 @@ pub fn loss_gradient(
 
 /// A true image for a view.
 pub(crate) fn target(level: Level, image: &RgbBuffer, view: &View) -> Result<Target, SplatError> {
+    check_size(image, view)?;
+    Ok(Target::new(level, image.as_slice(), view.width, view.height))
+}
+
+/// Refuses an image that is not as large as its camera says.
+pub(crate) fn check_size(image: &RgbBuffer, view: &View) -> Result<(), SplatError> {
     let (w, h) = (image.width() as usize, image.height() as usize);
     if (w, h) != (view.width, view.height) {
         return Err(SplatError::Input(format!(
@@ -108,7 +131,7 @@ pub(crate) fn target(level: Level, image: &RgbBuffer, view: &View) -> Result<Tar
             view.width, view.height
         )));
     }
-    Ok(Target::new(level, image.as_slice(), w, h))
+    Ok(())
 }
 
 /// Peak signal-to-noise ratio of two images in [0, 1], decibel: −10 log10 of the mean squared

@@ -9,7 +9,7 @@ use crate::cpu::loss::Target;
 use crate::stages::View;
 
 /// Smaller than this, a side is not halved: windows of SSIM would see little but the rim.
-const SMALLEST: usize = 32;
+const SMALLEST: usize = 24;
 
 /// One picture with its camera.
 #[derive(Debug)]
@@ -30,11 +30,13 @@ impl Shot {
     pub fn new(level: Level, image: &RgbBuffer, camera: &Camera, halved: bool) -> Result<Self, SplatError> {
         let view = View::new(camera)?;
         let target = crate::render::target(level, image, &view)?;
-        let half = (halved && view.width.min(view.height) >= 2 * SMALLEST).then(|| {
+        let half = if halved && view.width.min(view.height) >= 2 * SMALLEST {
             let half = view.halved();
-            let target = Target::new(level, &halve(image), half.width, half.height);
-            (half, target)
-        });
+            let target = crate::render::target(level, &halve(image)?, &half)?;
+            Some((half, target))
+        } else {
+            None
+        };
         Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, target), half })
     }
 
@@ -58,15 +60,18 @@ impl Shot {
         Ok(())
     }
 
-    /// View and picture at full or, where there is one, half resolution.
-    pub fn at(&self, half: bool) -> (&View, &Target) {
-        let (view, target) = self.half.as_ref().filter(|_| half).unwrap_or(&self.full);
-        (view, target)
+    /// Whether it is half the resolution (only where there is one and it is asked for), view and
+    /// picture.
+    pub fn at(&self, half: bool) -> (bool, &View, &Target) {
+        match self.half.as_ref().filter(|_| half) {
+            Some((view, target)) => (true, view, target),
+            None => (false, &self.full.0, &self.full.1),
+        }
     }
 }
 
 /// The mean of each two by two pixels, rounded; an odd last row or column is left out.
-fn halve(image: &RgbBuffer) -> Vec<[u8; 3]> {
+pub(crate) fn halve(image: &RgbBuffer) -> Result<RgbBuffer, SplatError> {
     let (w, h) = (image.width() / 2, image.height() / 2);
     let mut out = Vec::with_capacity((w * h) as usize);
     for y in 0..h {
@@ -78,7 +83,7 @@ fn halve(image: &RgbBuffer) -> Vec<[u8; 3]> {
             }));
         }
     }
-    out
+    RgbBuffer::from_vec(w, h, out).map_err(|e| SplatError::Input(e.to_string()))
 }
 
 #[cfg(test)]
@@ -90,6 +95,6 @@ mod tests {
         let pixels = (0..5 * 5).map(|i| [i as u8, 10 * i as u8, 7]).collect();
         let image = RgbBuffer::from_vec(5, 5, pixels).unwrap();
         // (0 + 1 + 5 + 6) / 4 = 3, (2 + 3 + 7 + 8) / 4 = 5, ten rows' worth further down 10 more.
-        assert_eq!(halve(&image), [[3, 30, 7], [5, 50, 7], [13, 130, 7], [15, 150, 7]]);
+        assert_eq!(halve(&image).unwrap().as_slice(), [[3, 30, 7], [5, 50, 7], [13, 130, 7], [15, 150, 7]]);
     }
 }

@@ -57,6 +57,8 @@ pub struct Trainer {
     pub(crate) densify_due: bool,
     pub(crate) reset_due: bool,
     pipeline: Pipeline,
+    #[cfg(feature = "gpu")]
+    gpu: Option<crate::gpu::Engine>,
 }
 
 impl Trainer {
@@ -85,8 +87,33 @@ impl Trainer {
             densify_due: false,
             reset_due: false,
             pipeline: Pipeline::new(level),
+            #[cfg(feature = "gpu")]
+            gpu: None,
             config,
         })
+    }
+
+    /// [`Self::new`] that trains on a GPU. Schedule, densification and random numbers are the same;
+    /// [`RefineStats::stages`] is filled if the device is [timed](crate::gpu::Device::timed).
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    #[cfg(feature = "gpu")]
+    pub fn with_device(
+        device: &crate::gpu::Device,
+        gaussians: Gaussians,
+        config: TrainerConfig,
+    ) -> Result<Self, SplatError> {
+        Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
+    }
+
+    /// What decides the last bits: the SIMD level, or the GPU.
+    pub fn runs_on(&self) -> String {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &self.gpu {
+            return gpu.name().into();
+        }
+        self.level.name().into()
     }
 
     /// Adds a view to train on; returns its index.
@@ -95,7 +122,15 @@ impl Trainer {
     /// If image and camera differ in size, or are larger than 4096 pixels a side.
     pub fn add_view(&mut self, image: &RgbBuffer, camera: &Camera) -> Result<usize, SplatError> {
         let halved = self.config.fine_iterations.is_some();
-        self.views.push(Shot::new(self.level, image, camera, halved)?);
+        let shot = Shot::new(self.level, image, camera, halved)?;
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.add_view(image)?;
+            if halved {
+                gpu.add_view(&crate::shot::halve(image)?)?;
+            }
+        }
+        self.views.push(shot);
         // All views, the new one among them, are due from now on.
         self.queue.clear();
         Ok(self.views.len() - 1)
@@ -172,15 +207,18 @@ impl Trainer {
         let mut stats = RefineStats::default();
         let mut losses = Vec::with_capacity(iterations as usize);
         self.pipeline.seconds = StageSeconds::default();
+        self.lend()?;
         while stats.iterations < iterations && proceed() {
             let left = (iterations - stats.iterations).saturating_add(following);
-            self.maintain(extent, left, &mut stats);
+            self.maintain(extent, left, &mut stats)?;
             self.iteration += 1;
             stats.iterations += 1;
-            losses.push(self.iterate(extent, left));
+            losses.extend(self.iterate(extent, left)?);
             self.densify_due |= schedule::densify_after(&self.config, self.iteration);
             self.reset_due |= schedule::reset_after(&self.config, self.iteration);
         }
+        self.take_back()?;
+        losses.extend(self.late_losses()?);
         let tenth = losses.len().div_ceil(10);
         let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len().max(1) as f64;
         stats.loss_first = mean(&losses[..tenth]);
@@ -194,8 +232,13 @@ impl Trainer {
 
     /// What the last iteration left to do. Done before the next iteration and not after the last,
     /// so that what is looked at between two calls has been trained since it was changed.
-    fn maintain(&mut self, extent: f32, left: u32, stats: &mut RefineStats) {
+    fn maintain(&mut self, extent: f32, left: u32, stats: &mut RefineStats) -> Result<(), SplatError> {
+        let reset = self.reset_due && left >= self.config.opacity_reset_margin;
+        if !self.densify_due && !reset {
+            return Ok(());
+        }
         let mut clock = Instant::now();
+        self.take_back()?;
         if std::mem::take(&mut self.densify_due) {
             let large = self.iteration > self.config.opacity_reset_interval;
             let changes = densify(&mut self.patient, &self.config, extent, large, &mut self.rng);
@@ -203,30 +246,71 @@ impl Trainer {
             stats.changes.split += changes.split;
             stats.changes.pruned += changes.pruned;
         }
-        if self.reset_due && left >= self.config.opacity_reset_margin {
+        if reset {
             self.reset_due = false;
             self.patient.reset_opacity(RESET_OPACITY);
             stats.opacity_resets += 1;
         }
+        self.lend()?;
         lap(&mut clock, &mut self.pipeline.seconds.densify);
+        Ok(())
     }
 
-    /// One iteration, with so many `left`, itself among them; returns the loss.
-    fn iterate(&mut self, extent: f32, left: u32) -> f64 {
+    /// Hands the Gaussians to the GPU, if there is one, …
+    fn lend(&mut self) -> Result<(), SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.upload(&self.patient)?;
+        }
+        Ok(())
+    }
+
+    /// … and takes them back.
+    fn take_back(&mut self) -> Result<(), SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            gpu.download(&mut self.patient)?;
+        }
+        Ok(())
+    }
+
+    /// Losses that [`Self::iterate`] did not wait for.
+    fn late_losses(&mut self) -> Result<Vec<f64>, SplatError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            let densify = self.pipeline.seconds.densify;
+            self.pipeline.seconds = StageSeconds { densify, ..gpu.take_seconds() };
+            return gpu.take_losses();
+        }
+        Ok(Vec::new())
+    }
+
+    /// One iteration, with so many `left`, itself among them; returns the loss if it is known already.
+    fn iterate(&mut self, extent: f32, left: u32) -> Result<Option<f64>, SplatError> {
         let index = self.next_view();
-        let (view, target) = self.views[index].at(schedule::coarse(&self.config, left));
+        let (_half, view, target) = self.views[index].at(schedule::coarse(&self.config, left));
         let degree = schedule::degree(&self.config, self.iteration);
         let background = self.config.background;
+        let rates = schedule::rates(&self.config, self.iteration, extent);
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &mut self.gpu {
+            let lambda = self.config.lambda_dssim;
+            let settings = crate::gpu::Settings { degree, background, lambda, slot: 0 };
+            // A view's picture at half the resolution lies behind the picture itself.
+            let stride = 1 + usize::from(self.config.fine_iterations.is_some());
+            gpu.iterate(stride * index + usize::from(_half), view, settings, &rates, self.iteration)?;
+            return Ok(None);
+        }
         self.pipeline.forward(view, degree, background, &self.patient.parameters, false);
         let loss = self.pipeline.backward(view, target, self.config.lambda_dssim);
 
         let mut clock = Instant::now();
-        let step = Step::new(&schedule::rates(&self.config, self.iteration, extent), self.iteration);
+        let step = Step::new(&rates, self.iteration);
         let Patient { parameters, moments, density } = &mut self.patient;
         let gathered = self.pipeline.gathered(view, degree);
         project_backward::step(self.level, gathered, &step, parameters, moments, density);
         lap(&mut clock, &mut self.pipeline.seconds.project_backward);
-        loss
+        Ok(Some(loss))
     }
 
     fn next_view(&mut self) -> usize {

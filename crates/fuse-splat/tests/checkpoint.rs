@@ -12,6 +12,7 @@ fn config() -> TrainerConfig {
         opacity_reset_interval: 70,
         opacity_reset_margin: 40,
         degree_interval: 50,
+        fine_iterations: Some(60),
         max_gaussians: 400,
         seed: 5,
         ..TrainerConfig::default()

@@ -51,6 +51,19 @@ fn training_lowers_the_loss_and_improves_views_it_has_not_seen() {
 }
 
 #[test]
+fn a_start_at_half_the_resolution_ends_as_well() {
+    let psnr = |fine_iterations| {
+        let mut trainer = trainer(TrainerConfig { fine_iterations, ..TrainerConfig::default() });
+        trainer.refine(300).unwrap();
+        held_out_psnr(&trainer.gaussians(), &truth(), 0.52)
+    };
+    let (full, half_first, one_half) = (psnr(None), psnr(Some(120)), psnr(Some(299)));
+    println!("{full:.2} dB, half the resolution first {half_first:.2} dB, once {one_half:.2} dB");
+    assert!(half_first > full - 1.0);
+    assert!(full != one_half && one_half != half_first, "the resolution is not looked at");
+}
+
+#[test]
 fn a_call_cut_in_two_is_the_same_call() {
     let config = || TrainerConfig {
         densify_start: 10,

@@ -1,6 +1,9 @@
 //! Scenes that the tests share.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+#[cfg(feature = "gpu")]
+pub mod gpu;
+
 use fuse_camera::{Camera, Pinhole, Pose, RgbBuffer};
 use fuse_splat::Gaussians;
 use nalgebra::Point3;
