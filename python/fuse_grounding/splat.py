@@ -93,8 +93,8 @@ class TrainerConfig:
     max_gaussians: Natural = 40_000
     """No Gaussians are added beyond this number, which keeps a refinement within seconds; ours."""
     fine_iterations: Natural | None = None
-    """So many iterations at the end of a call look at the views at full resolution, those before at half, which
-    costs a third; None: all at full resolution, as in the original."""
+    """So many iterations at the end of a call look at the views at full resolution, those before at half,
+    which costs a third; None: all at full resolution, as in the original."""
     extent: Positive | None = None
     """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""
     background: tuple[Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0)
