@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find crates src -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock pyproject.toml
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test bench install lint test-rust test-gpu test-python test-wheel data weights clean
+.PHONY: demo test bench install lint test-rust test-python test-wheel data weights clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -34,16 +34,12 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	cargo clippy --workspace --all-targets --quiet -- -D warnings
-	cargo clippy -p fuse-splat -p fuse-camera --all-features --all-targets --quiet -- -D warnings
+	cargo clippy --workspace --all-targets --features fuse-splat/gpu --quiet -- -D warnings
 
-# Unit, integration and documentation tests of every crate.
+# Unit, integration and documentation tests of every crate; the GPU twin's run on a real adapter
+# or on lavapipe (Debian: mesa-vulkan-drivers libvulkan1).
 test-rust:
-	cargo test --quiet
-
-# The GPU twin, on a real adapter or on lavapipe (Debian: mesa-vulkan-drivers libvulkan1).
-test-gpu:
-	cargo test --quiet -p fuse-splat -p fuse-camera --features fuse-splat/gpu
+	cargo test --quiet --features fuse-splat/gpu
 
 test-python: install
 	$(BIN)/python -m mypy.stubtest fuse_grounding._core --allowlist tests/python/stubtest-allow.txt
@@ -53,7 +49,7 @@ test-python: install
 test-wheel: install
 	PATH=$(abspath $(BIN)):$$PATH tests/wheel.sh
 
-test: lint test-rust test-gpu test-python test-wheel
+test: lint test-rust test-python test-wheel
 
 bench: install
 	cargo bench
