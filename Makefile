@@ -37,8 +37,9 @@ lint: install
 	cargo clippy --workspace --all-targets --features fuse-splat/gpu --quiet -- -D warnings
 
 # Unit, integration and documentation tests of every crate; the GPU twin's run on a real adapter
-# or on lavapipe (Debian: mesa-vulkan-drivers libvulkan1).
+# or on Mesa's software driver.
 test-rust:
+	tests/vulkan.sh
 	cargo test --quiet --features fuse-splat/gpu
 
 test-python: install

@@ -9,6 +9,7 @@ evenly spaced in ring order:
   down, so that part of what they show was in no picture.
 
     python benches/map_quality.py                                   # both textured scenes, known poses
+    python benches/map_quality.py --config '{"fine_iterations": null}'   # never at half the resolution
     python benches/map_quality.py --registration colmap --scenes train_workshop
 """
 
@@ -26,8 +27,10 @@ import cv2
 import numpy as np
 
 from fuse_grounding import splat
+from fuse_grounding.config import MapConfig
 from fuse_grounding.environment import TabletopEnvironment, make_episode
 from fuse_grounding.environment.protocol import Observation
+from fuse_grounding.mapping import trainer_config
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
 
 NODES, PITCHES, NO_OP = 36, 3, 7
@@ -125,7 +128,7 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     registrar.initialize(seeds)
     ids, xyz, rgb = registrar.points_by_id()
     known = set(ids.tolist())
-    config = splat.TrainerConfig(**json.loads(options.config))
+    config = trainer_config(MapConfig(**json.loads(options.config)))
     trainer = splat.Trainer(splat.Gaussians.from_points(xyz, rgb), config)
     for seed_view, registered in zip(seeds, registrar.views(), strict=True):
         trainer.add_view(seed_view.rgb, registered.camera)
@@ -187,7 +190,7 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=400, help="iterations after each further view")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-points", action="store_true", help="do not add newly triangulated points")
-    parser.add_argument("--config", default="{}", help="settings of the trainer as JSON")
+    parser.add_argument("--config", default="{}", help="settings of the map as JSON")
     parser.add_argument("--pictures", help="write observed and predicted views to this folder")
     parser.add_argument("--json", help="write the figures to this file")
     options = parser.parse_args()
