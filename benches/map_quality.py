@@ -8,8 +8,9 @@ evenly spaced in ring order:
 - tilt: one pitch step from a viewpoint of the path, at the same node. These look 15 degrees further up or
   down, so that part of what they show was in no picture.
 
-    python benches/map_quality.py                                   # both textured scenes, known poses
-    python benches/map_quality.py --config '{"fine_iterations": null}'   # never at half the resolution
+    python benches/map_quality.py                     # both textured scenes, known poses
+    python benches/map_quality.py --config '{"schedule": "official"}'
+    python benches/map_quality.py --config '{"fine_iterations": null}'   # fast, but at full resolution
     python benches/map_quality.py --registration colmap --scenes train_workshop
 """
 
@@ -30,7 +31,6 @@ from fuse_grounding import splat
 from fuse_grounding.config import MapConfig
 from fuse_grounding.environment import TabletopEnvironment, make_episode
 from fuse_grounding.environment.protocol import Observation
-from fuse_grounding.mapping import trainer_config
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
 
 NODES, PITCHES, NO_OP = 36, 3, 7
@@ -128,7 +128,7 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     registrar.initialize(seeds)
     ids, xyz, rgb = registrar.points_by_id()
     known = set(ids.tolist())
-    config = trainer_config(MapConfig(**json.loads(options.config)))
+    config = MapConfig(**json.loads(options.config))
     trainer = splat.Trainer(splat.Gaussians.from_points(xyz, rgb), config)
     for seed_view, registered in zip(seeds, registrar.views(), strict=True):
         trainer.add_view(seed_view.rgb, registered.camera)

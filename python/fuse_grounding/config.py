@@ -12,11 +12,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fuse_grounding.arguments import Count, Fraction, Natural, Positive
 from fuse_grounding.errors import InputError
-from fuse_grounding.splat import TrainerConfig
+from fuse_grounding.splat import OFFICIAL, TrainerConfig
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -143,6 +143,8 @@ class RegistrationConfig(Section):
 class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by `model_config`
     """3D Gaussian splatting: `splat.TrainerConfig`'s settings, checked here, and when to optimise."""
 
+    schedule: Literal["fast", "official"] = "fast"
+    """`official`: trainer's settings that are not given are those of `splat.TrainerConfig.official`. Ours."""
     fine_iterations: int | None = Field(default=160, ge=0)
     """As there; 160 saves a third of the time and keeps held-out PSNR (docs/performance.md). Ours."""
     initial_iterations: Count = 1000
@@ -151,6 +153,12 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
     """Optimisation after each explicit-planning observation. Supplement, "3D Gaussian Splatting"."""
     add_points: bool = True
     """Start new Gaussians at points that registration finds later. Ours."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _schedule(cls, given: Any) -> Any:
+        official = isinstance(given, Mapping) and given.get("schedule") == "official"
+        return {**OFFICIAL, **given} if official else given
 
 
 class KnowledgeConfig(Section):

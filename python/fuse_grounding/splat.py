@@ -102,6 +102,20 @@ class TrainerConfig:
     seed: Natural = 0
     """Order of the views and places of split Gaussians."""
 
+    @classmethod
+    def official(cls) -> TrainerConfig:
+        """Every setting as in the original; what is ours is off."""
+        return cls(**OFFICIAL)
+
+
+OFFICIAL: dict[str, Any] = {
+    "prune_fraction": 0.1,
+    "opacity_reset_margin": 0,
+    "max_gaussians": 1_000_000,
+    "fine_iterations": None,
+}
+"""Where the original differs from the defaults. It has no limit on Gaussians; this one is out of reach."""
+
 
 @dataclass(frozen=True)
 class RefineStats:
