@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 __version__: str
 simd_level: str
@@ -24,8 +24,8 @@ class Camera:
         fy: float,
         cx: float,
         cy: float,
-        rotation: NDArray[np.float64],
-        translation: NDArray[np.float64],
+        rotation: ArrayLike,
+        translation: ArrayLike,
     ) -> Camera: ...
     @property
     def width(self) -> int: ...

@@ -308,3 +308,27 @@ def test_an_interrupt_is_status_130_and_leaves_nothing(tmp_path: Path, line: str
     assert stderr.startswith("fuse: interrupted; ")
     assert stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_camera_takes_any_numbers_and_names_what_it_cannot_take():
+    def made(**changed: Any) -> _core.Camera:
+        given: dict[str, Any] = {"width": 8, "height": 6, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 3.0}
+        return _core.Camera(
+            **{**given, "rotation": np.eye(3, dtype=np.float32), "translation": [0, 0, 1], **changed}
+        )
+
+    assert made().translation.dtype == np.float64
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"width": -1}, "width must be a whole number from 0 to 4294967295, found -1"),
+        ({"height": 2.5}, "height must be a whole number from 0 to 4294967295, found 2.5"),
+        (
+            {"rotation": np.eye(2)},
+            r"rotation must be numbers of shape \[3, 3\], found float64 array of shape \(2, 2\)",
+        ),
+        ({"rotation": None}, r"rotation must be numbers of shape \[3, 3\], found NoneType"),
+        ({"translation": "far"}, r"translation must be numbers of shape \[3\], found str"),
+        ({"translation": [0, 0, np.nan]}, "translation must be finite"),
+    ]
+    for changed, message in wrong:
+        with pytest.raises(InputError, match=message):
+            made(**changed)

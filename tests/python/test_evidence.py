@@ -338,6 +338,7 @@ BAD = [
     (lambda: evidence.grounding_score(0.1, 0.1, -1),
      "pixels must be a whole number from 0 to 2147483647, found -1"),
     (lambda: evidence.Patience(0), "k must be at least 1, found 0"),
+    (lambda: evidence.Patience(-1), "k must be a whole number from 1 to 4294967295, found -1"),
     (lambda: evidence.Patience().observe(np.nan), "score must be finite, found NaN"),
 ]  # fmt: skip
 

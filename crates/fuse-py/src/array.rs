@@ -47,6 +47,31 @@ pub fn view<'py, T: Element>(
     copy.cast::<PyArrayDyn<T>>().map_err(|_| wrong())?.try_readonly().map_err(|_| wrong())
 }
 
+/// Anything that NumPy takes for float64 of the given shape.
+///
+/// # Errors
+/// `InputError` that names the argument, what was found and what was expected.
+pub fn floats<'py>(name: &str, value: &Bound<'py, PyAny>, shape: &[usize]) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
+    let wrong = || input(format!("{name} must be numbers of shape {shape:?}, found {}", describe(value)));
+    let array = value.py().import("numpy")?.call_method1("asarray", (value, "float64")).map_err(|_| wrong())?;
+    let array = array.cast::<PyArrayDyn<f64>>().map_err(|_| wrong())?;
+    if array.shape() != shape {
+        return Err(wrong());
+    }
+    array.try_readonly().map_err(|_| input(format!("{name} is being written to elsewhere")))
+}
+
+/// A whole number that is not negative.
+///
+/// # Errors
+/// `InputError` that names the argument and what was found.
+pub fn whole(name: &str, value: &Bound<'_, PyAny>) -> PyResult<u32> {
+    value.extract::<u32>().map_err(|_| match value.repr() {
+        Ok(found) => input(format!("{name} must be a whole number from 0 to {}, found {found}", u32::MAX)),
+        Err(e) => e,
+    })
+}
+
 /// An `(H, W, 3)` uint8 image as pixels with its size `(width, height)`.
 pub fn rgb<'a>(name: &str, array: &'a PyReadonlyArrayDyn<'_, u8>) -> PyResult<(&'a [[u8; 3]], u32, u32)> {
     let shape = array.shape();

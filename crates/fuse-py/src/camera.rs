@@ -2,16 +2,17 @@
 
 use fuse_camera::{Pinhole, Pose};
 use nalgebra::{Matrix3, Vector3};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2};
 use pyo3::prelude::*;
 
+use crate::array;
 use crate::error::input;
 
 /// A pinhole camera with its pose.
 ///
 /// Camera(width, height, fx, fy, cx, cy, rotation, translation)
 ///
-/// rotation: (3, 3) float64, world to camera; translation: (3,) float64, metres; so that
+/// rotation: (3, 3) numbers, world to camera; translation: (3,) numbers, metres; so that
 /// x_camera = rotation @ x_world + translation. World: right-handed, z up. Camera: x right,
 /// y down, z forward. Pixel centres are at half-integers. Raises InputError on values that are
 /// not finite or a rotation that is not orthonormal (1e-6).
@@ -27,24 +28,20 @@ impl Camera {
     #[pyo3(signature = (width, height, fx, fy, cx, cy, rotation, translation))]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        width: u32,
-        height: u32,
+        width: &Bound<'_, PyAny>,
+        height: &Bound<'_, PyAny>,
         fx: f64,
         fy: f64,
         cx: f64,
         cy: f64,
-        rotation: PyReadonlyArray2<'_, f64>,
-        translation: PyReadonlyArray1<'_, f64>,
+        rotation: &Bound<'_, PyAny>,
+        translation: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
+        let (width, height) = (array::whole("width", width)?, array::whole("height", height)?);
         let intrinsics = Pinhole::new(width, height, fx, fy, cx, cy).map_err(|e| input(e.to_string()))?;
+        let rotation = array::floats("rotation", rotation, &[3, 3])?;
+        let translation = array::floats("translation", translation, &[3])?;
         let (r, t) = (rotation.as_array(), translation.as_array());
-        if r.shape() != [3, 3] || t.shape() != [3] {
-            return Err(input(format!(
-                "rotation must have shape (3, 3) and translation (3,), found {:?} and {:?}",
-                r.shape(),
-                t.shape()
-            )));
-        }
         let matrix = Matrix3::from_fn(|i, j| r[[i, j]]);
         let translation = Vector3::from_fn(|i, _| t[i]);
         if !translation.iter().all(|v| v.is_finite()) {

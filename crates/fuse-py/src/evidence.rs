@@ -323,7 +323,9 @@ pub struct Patience {
 impl Patience {
     #[new]
     #[pyo3(signature = (k = 5))]
-    fn new(k: u32) -> PyResult<Self> {
+    fn new(k: i64) -> PyResult<Self> {
+        let k = u32::try_from(k)
+            .map_err(|_| input(format!("k must be a whole number from 1 to {}, found {k}", u32::MAX)))?;
         Ok(Self { inner: checked(patience::Patience::new(k))? })
     }
 

@@ -105,8 +105,7 @@ fn bands<'a>(
     out
 }
 
-/// What a block of eight pixels has gathered. Together in two cache lines; planes of a power of two
-/// bytes each would lie at addresses that the processor takes for one another.
+/// What a block of eight pixels has gathered.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct BlockState {

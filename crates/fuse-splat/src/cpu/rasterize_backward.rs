@@ -11,7 +11,7 @@
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
-use super::rasterize::{Broadcast, blocks, clamps};
+use super::rasterize::{BLOCK_COLUMNS, Broadcast, blocks, clamps, copy_line};
 use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{PairGradient, Pairs, Splat, View};
@@ -51,8 +51,7 @@ struct TileBackward<'a> {
     out: &'a mut [PairGradient],
 }
 
-/// What the backward pass knows of a block of eight pixels. Together, for the reason that the
-/// forward pass has.
+/// What the backward pass knows of a block of eight pixels.
 #[derive(Clone, Copy)]
 #[repr(C, align(32))]
 struct BlockState {
@@ -109,8 +108,8 @@ impl TileBackward<'_> {
         let (width, n) = (self.view.width, self.view.pixels());
         let (left, top) = (column * TILE_WIDTH, row * TILE_HEIGHT);
         for block in 0..TILE_BLOCKS {
-            let x = left + block % (TILE_WIDTH / BLOCK_WIDTH) * BLOCK_WIDTH;
-            let y = top + block / (TILE_WIDTH / BLOCK_WIDTH) * BLOCK_HEIGHT;
+            let x = left + block % BLOCK_COLUMNS * BLOCK_WIDTH;
+            let y = top + block / BLOCK_COLUMNS * BLOCK_HEIGHT;
             if x >= width || y >= self.view.height {
                 continue;
             }
@@ -122,22 +121,13 @@ impl TileBackward<'_> {
                 for line in 0..BLOCK_HEIGHT.min(self.view.height - y) {
                     let at = c * n + (y + line) * width + x;
                     let lane = line * BLOCK_WIDTH;
-                    copy(&self.color[at..at + columns], &mut color[lane..lane + BLOCK_WIDTH]);
-                    copy(&self.gradient[at..at + columns], &mut state.gradient[c][lane..lane + BLOCK_WIDTH]);
+                    copy_line(&self.color[at..at + columns], &mut color[lane..lane + BLOCK_WIDTH]);
+                    copy_line(&self.gradient[at..at + columns], &mut state.gradient[c][lane..lane + BLOCK_WIDTH]);
                 }
                 remaining = V::load(&color).mul_add(V::load(&state.gradient[c]), remaining);
             }
             remaining.store(&mut state.remaining);
         }
-    }
-}
-
-/// Copies as many values as there are; whole rows of a block without a call.
-#[inline(always)]
-fn copy(from: &[f32], to: &mut [f32]) {
-    match (from.first_chunk::<BLOCK_WIDTH>(), to.first_chunk_mut::<BLOCK_WIDTH>()) {
-        (Some(from), Some(to)) => *to = *from,
-        _ => to[..from.len()].copy_from_slice(from),
     }
 }
 
