@@ -146,7 +146,7 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
     schedule: Literal["fast", "official"] = "fast"
     """`official`: trainer's settings that are not given are those of `splat.TrainerConfig.official`. Ours."""
     fine_iterations: int | None = Field(default=160, ge=0)
-    """As there; 160 saves a third of the time and keeps held-out PSNR (docs/performance.md). Ours."""
+    """As there; what 160 saves and what it costs is measured in docs/performance.md. Ours."""
     initial_iterations: Count = 1000
     """Optimisation over the seed views. Supplement, "3D Gaussian Splatting"."""
     incremental_iterations: Count = 400

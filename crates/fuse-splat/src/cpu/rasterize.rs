@@ -254,8 +254,8 @@ fn draw_tile<V: F32x8, const DEPTH: bool>(
     }
 }
 
-/// One splat on one tile. First all α, then all blending: in one loop the chain of dependent
-/// instructions is so long that the processor's registers run out before its units are busy.
+/// One splat on one tile: first all α, then all blending. In one loop more values are alive than
+/// AVX2 has registers.
 #[inline(always)]
 fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
     splat: &Splat,
