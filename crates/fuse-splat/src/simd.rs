@@ -18,6 +18,8 @@ pub(crate) trait F32x8:
 {
     fn splat(v: f32) -> Self;
     fn load(v: &[f32; 8]) -> Self;
+    /// Eight integers.
+    fn load_bytes(v: &[u8; 8]) -> Self;
     fn store(self, to: &mut [f32; 8]);
     /// `self · a + b`, rounded once where the level has FMA.
     fn mul_add(self, a: Self, b: Self) -> Self;
@@ -162,6 +164,10 @@ impl F32x8 for Portable {
     #[inline(always)]
     fn load(v: &[f32; 8]) -> Self {
         Self(*v)
+    }
+    #[inline(always)]
+    fn load_bytes(v: &[u8; 8]) -> Self {
+        Self(v.map(f32::from))
     }
     #[inline(always)]
     fn store(self, to: &mut [f32; 8]) {

@@ -24,11 +24,11 @@ const BAND: usize = 120;
 const STEP: usize = 4;
 /// Rows by which windows lag behind the newest rows: the window's length less one, in whole steps.
 const LAG: usize = (SSIM_WINDOW - 1).next_multiple_of(STEP);
-/// Rows of a ring of blurs: what a step's windows span.
-const BLURS: usize = LAG + STEP;
-/// Rows of a ring of images: what lies between the newest rows and the gradient's.
-const IMAGES: usize = 32;
-/// Zeros to the left of a padded row.
+/// Rows of a ring: what a step's windows span.
+const ROWS: usize = LAG + STEP;
+/// Columns of a ring: one vector.
+const LANES: usize = 8;
+/// Zeros to the left and to the right of a padded row.
 const PAD: usize = 8;
 /// Half the window.
 const HALF: usize = SSIM_WINDOW / 2;
@@ -48,90 +48,79 @@ static WEIGHTS: LazyLock<[f32; HALF + 1]> = LazyLock::new(|| {
 pub(crate) struct Target {
     pub width: usize,
     pub height: usize,
-    /// Red, green, blue planes, 8 bits a value.
-    bytes: Vec<u8>,
-    /// B y, three planes.
-    mean: Vec<f32>,
-    /// B y², three planes.
-    square: Vec<f32>,
+    /// Red, green, blue planes in [0, 255], rows filled up to whole vectors.
+    bytes: Vec<[u8; LANES]>,
+    /// B y and B y², laid out alike.
+    blurs: Vec<[[f32; LANES]; 2]>,
 }
 
 impl Target {
     /// From row-major pixels.
     pub fn new(level: Level, pixels: &[[u8; 3]], width: usize, height: usize) -> Self {
-        let bytes: Vec<u8> = (0..3).flat_map(|c| pixels.iter().map(move |p| p[c])).collect();
-        let n = width * height;
-        let mut target = Self { width, height, bytes, mean: vec![0.0; 3 * n], square: vec![0.0; 3 * n] };
-        let (mut mean, mut square) = (std::mem::take(&mut target.mean), std::mem::take(&mut target.square));
-        let planes = mean.par_chunks_mut(n).zip(square.par_chunks_mut(n)).enumerate();
-        planes.for_each(|(c, (mean, square))| {
-            dispatch(level, BlurPlane { bytes: &target.bytes[c * n..(c + 1) * n], width, height, mean, square });
-        });
-        (target.mean, target.square) = (mean, square);
-        target
-    }
-}
-
-/// Length of a row with room for the window on both sides, in whole vectors.
-fn stride(width: usize) -> usize {
-    width.next_multiple_of(8) + 2 * PAD
-}
-
-/// Blurs along a padded row; `out` is padded alike, its padding is left alone.
-#[inline(always)]
-fn blur_row<V: F32x8>(w: &[V; HALF + 1], row: &[f32], out: &mut [f32]) {
-    let n = out.len() - 2 * PAD;
-    for x in (0..n).step_by(8) {
-        let window = &row[PAD - HALF + x..][..8 + 2 * HALF];
-        let mut sum = w[HALF] * V::load_slice(&window[HALF..]);
-        for k in 0..HALF {
-            let pair = V::load_slice(&window[k..]) + V::load_slice(&window[2 * HALF - k..]);
-            sum = w[k].mul_add(pair, sum);
+        let columns = width.div_ceil(LANES);
+        let mut bytes = vec![[0; LANES]; 3 * height * columns];
+        for (c, plane) in bytes.chunks_mut(height * columns).enumerate() {
+            for (row, line) in pixels.chunks(width).zip(plane.chunks_mut(columns)) {
+                for (v, pixel) in line.as_flattened_mut().iter_mut().zip(row) {
+                    *v = pixel[c];
+                }
+            }
         }
-        sum.store_slice(&mut out[PAD + x..]);
+        let mut blurs = vec![[[0.0; LANES]; 2]; bytes.len()];
+        let planes = blurs.par_chunks_mut(height * columns).zip(bytes.par_chunks(height * columns));
+        planes.for_each(|(blurs, bytes)| dispatch(level, BlurPlane { bytes, width, blurs }));
+        Self { width, height, bytes, blurs }
+    }
+
+    /// Vectors in a row.
+    fn columns(&self) -> usize {
+        self.width.div_ceil(LANES)
+    }
+
+    /// Where the vectors of a row are.
+    fn range(&self, channel: usize, y: usize) -> std::ops::Range<usize> {
+        let start = (channel * self.height + y) * self.columns();
+        start..start + self.columns()
     }
 }
 
-/// Padded rows, indexed by row number modulo `ROWS`.
-struct Ring<const ROWS: usize> {
-    lines: Vec<f32>,
-    stride: usize,
+/// The last rows of `N` fields, column by column: a window down the rows is read from a few cache
+/// lines that follow one another.
+type Ring<const N: usize> = Vec<[[[f32; LANES]; ROWS]; N]>;
+
+/// A row with room for the window on both sides.
+fn padded(columns: usize) -> Vec<f32> {
+    vec![0.0; columns * LANES + 2 * PAD]
 }
 
-impl<const ROWS: usize> Ring<ROWS> {
-    fn new(stride: usize) -> Self {
-        Self { lines: vec![0.0; ROWS * stride], stride }
-    }
-
-    #[inline(always)]
-    fn line(&self, row: usize) -> &[f32] {
-        &self.lines[row % ROWS * self.stride..][..self.stride]
-    }
-
-    #[inline(always)]
-    fn line_mut(&mut self, row: usize) -> &mut [f32] {
-        &mut self.lines[row % ROWS * self.stride..][..self.stride]
-    }
-
-    /// The rows of [`STEP`] windows that begin at rows `top`, `top + 1` and so on.
-    #[inline(always)]
-    fn windows(&self, top: usize) -> [&[f32]; SSIM_WINDOW + STEP - 1] {
-        std::array::from_fn(|j| self.line(top + j))
-    }
-}
-
-/// Blurs down [`STEP`] windows at once, at column `x`.
+/// Blurs `N` padded rows along; the results go into row `row` of the ring.
 #[inline(always)]
-fn blur_down<V: F32x8>(w: &[V; HALF + 1], rows: &[&[f32]; SSIM_WINDOW + STEP - 1], x: usize) -> [V; STEP] {
+fn blur_rows<V: F32x8, const N: usize>(w: &[V; HALF + 1], rows: [&[f32]; N], ring: &mut Ring<N>, row: usize) {
+    for (i, fields) in ring.iter_mut().enumerate() {
+        for k in 0..N {
+            let Some(window) = rows[k][i * LANES..].first_chunk::<{ LANES + 2 * PAD }>() else { return };
+            let at = |j: usize| V::load_slice(&window[PAD - HALF + j..]);
+            let mut sum = w[HALF] * at(HALF);
+            for j in 0..HALF {
+                sum = w[j].mul_add(at(j) + at(2 * HALF - j), sum);
+            }
+            sum.store(&mut fields[k][row % ROWS]);
+        }
+    }
+}
+
+/// Blurs down the [`STEP`] windows of which the first begins at row `top`.
+#[inline(always)]
+fn blur_down<V: F32x8>(w: &[V; HALF + 1], rows: &[[f32; LANES]; ROWS], top: usize) -> [V; STEP] {
     let mut v = [V::zero(); SSIM_WINDOW + STEP - 1];
-    for (v, row) in v.iter_mut().zip(rows) {
-        *v = V::load_slice(&row[PAD + x..]);
+    for j in 0..v.len() {
+        v[j] = V::load(&rows[(top + j) % ROWS]);
     }
     let mut sums = [V::zero(); STEP];
-    for (o, sum) in sums.iter_mut().enumerate() {
-        *sum = w[HALF] * v[o + HALF];
+    for o in 0..STEP {
+        sums[o] = w[HALF] * v[o + HALF];
         for k in 0..HALF {
-            *sum = w[k].mul_add(v[o + k] + v[o + 2 * HALF - k], *sum);
+            sums[o] = w[k].mul_add(v[o + k] + v[o + 2 * HALF - k], sums[o]);
         }
     }
     sums
@@ -146,25 +135,16 @@ fn weights<V: F32x8>() -> [V; HALF + 1] {
     out
 }
 
-/// Bytes of an image row → a padded row in [0, 1]; zeros for a row outside the image.
+/// The grey levels of a vector, in [0, 1].
 #[inline(always)]
-fn unpack(bytes: Option<&[u8]>, out: &mut [f32]) {
-    match bytes {
-        Some(bytes) => {
-            for (v, &b) in out[PAD..].iter_mut().zip(bytes) {
-                *v = f32::from(b) * (1.0 / 255.0);
-            }
-        }
-        None => out.fill(0.0),
-    }
+fn unpack<V: F32x8>(bytes: &[u8; LANES]) -> V {
+    V::load_bytes(bytes) * V::splat(1.0 / 255.0)
 }
 
 struct BlurPlane<'a> {
-    bytes: &'a [u8],
+    bytes: &'a [[u8; LANES]],
     width: usize,
-    height: usize,
-    mean: &'a mut [f32],
-    square: &'a mut [f32],
+    blurs: &'a mut [[[f32; LANES]; 2]],
 }
 
 impl Kernel for BlurPlane<'_> {
@@ -172,29 +152,33 @@ impl Kernel for BlurPlane<'_> {
     #[inline(always)]
     fn run<V: F32x8>(self) {
         let w = weights::<V>();
-        let stride = stride(self.width);
-        let mut rings: [Ring<BLURS>; 2] = [Ring::new(stride), Ring::new(stride)];
-        let (mut row, mut squares) = (vec![0.0; stride], vec![0.0; stride]);
+        let columns = self.width.div_ceil(LANES);
+        let height = self.bytes.len() / columns;
+        let mut ring: Ring<2> = vec![[[[0.0; LANES]; ROWS]; 2]; columns];
+        let (mut row, mut squares) = (padded(columns), padded(columns));
         // Rows in here are numbered r = y + HALF, so that they begin at zero.
-        for top in (0..self.height + LAG).step_by(STEP) {
+        for top in (0..height + LAG).step_by(STEP) {
             for r in top..top + STEP {
-                let y = r.checked_sub(HALF).filter(|&y| y < self.height);
-                unpack(y.map(|y| &self.bytes[y * self.width..(y + 1) * self.width]), &mut row);
+                row.fill(0.0);
+                if let Some(y) = r.checked_sub(HALF).filter(|&y| y < height) {
+                    let bytes = self.bytes[y * columns..(y + 1) * columns].as_flattened();
+                    for (v, &b) in row[PAD..].iter_mut().zip(bytes) {
+                        *v = f32::from(b) * (1.0 / 255.0);
+                    }
+                }
                 for (s, v) in squares.iter_mut().zip(&row) {
                     *s = v * v;
                 }
-                blur_row(&w, &row, rings[0].line_mut(r));
-                blur_row(&w, &squares, rings[1].line_mut(r));
+                blur_rows(&w, [&row, &squares], &mut ring, r);
             }
             let Some(first) = top.checked_sub(LAG) else { continue };
-            let rows = first..(first + STEP).min(self.height);
-            for (ring, plane) in rings.iter().zip([&mut *self.mean, &mut *self.square]) {
-                let windows = ring.windows(first);
-                for x in (0..self.width).step_by(8) {
-                    let blurred = blur_down(&w, &windows, x);
-                    for (y, v) in rows.clone().zip(blurred) {
-                        store_lanes(v, &mut plane[y * self.width + x..(y + 1) * self.width]);
-                    }
+            for (column, fields) in ring.iter().enumerate() {
+                let mean = blur_down(&w, &fields[0], first);
+                let square = blur_down(&w, &fields[1], first);
+                for o in 0..STEP.min(height - first) {
+                    let [to_mean, to_square] = &mut self.blurs[(first + o) * columns + column];
+                    mean[o].store(to_mean);
+                    square[o].store(to_square);
                 }
             }
         }
@@ -207,7 +191,7 @@ fn load_lanes<V: F32x8>(from: &[f32]) -> V {
     match from.first_chunk() {
         Some(chunk) => V::load(chunk),
         None => {
-            let mut values = [0.0; 8];
+            let mut values = [0.0; LANES];
             values[..from.len()].copy_from_slice(from);
             V::load(&values)
         }
@@ -259,26 +243,23 @@ struct LossBand<'a> {
 /// Working memory of one band.
 struct Scratch {
     /// Blurs along the rows of x, x², x y.
-    along: [Ring<BLURS>; 3],
+    along: Ring<3>,
     /// Blurs along the rows of ∂s/∂μ, ∂s/∂(B x²), ∂s/∂(B xy).
-    slopes: [Ring<BLURS>; 3],
-    /// Padded rows: x, y, x², x y.
-    rows: [Vec<f32>; 4],
+    slopes: Ring<3>,
+    /// Padded rows: x, x², x y.
+    rows: [Vec<f32>; 3],
     /// Padded rows: the three slopes of four rows.
     lines: [[Vec<f32>; 3]; STEP],
-    /// x and y of the last rows.
-    images: [Ring<IMAGES>; 2],
 }
 
 impl Scratch {
-    fn new(stride: usize) -> Self {
+    fn new(columns: usize) -> Self {
         use std::array::from_fn;
         Self {
-            along: from_fn(|_| Ring::new(stride)),
-            slopes: from_fn(|_| Ring::new(stride)),
-            rows: from_fn(|_| vec![0.0; stride]),
-            lines: from_fn(|_| from_fn(|_| vec![0.0; stride])),
-            images: from_fn(|_| Ring::new(stride)),
+            along: vec![[[[0.0; LANES]; ROWS]; 3]; columns],
+            slopes: vec![[[[0.0; LANES]; ROWS]; 3]; columns],
+            rows: from_fn(|_| padded(columns)),
+            lines: from_fn(|_| from_fn(|_| padded(columns))),
         }
     }
 }
@@ -291,19 +272,20 @@ impl Kernel for LossBand<'_> {
     #[inline(always)]
     fn run<V: F32x8>(self) -> [f64; 2] {
         let (width, w) = (self.target.width, weights::<V>());
-        let stride = stride(width);
-        let mut s = Scratch::new(stride);
+        let mut s = Scratch::new(self.target.columns());
         let height = self.out.len() / width;
-        let (out, band) = (&mut *self.out, BandView { first: self.first, height, target: self.target });
+        let n = width * self.target.height;
+        let image = &self.image[self.channel * n..][..n];
+        let band = BandView { first: self.first, height, channel: self.channel, target: self.target, image };
         let (mut l1, mut ssim) = (0.0, 0.0);
         for top in (0..height + 2 * LAG).step_by(STEP) {
             for r in top..top + STEP {
-                along_row(&w, self.image, &band, self.channel, r, &mut s);
+                along_row(&w, &band, r, &mut s);
             }
             let Some(first) = top.checked_sub(LAG) else { continue };
-            ssim += slopes_rows::<V>(&w, &band, self.channel, first, &mut s);
+            ssim += slopes_rows::<V>(&w, &band, first, &mut s);
             let Some(last) = first.checked_sub(LAG) else { continue };
-            l1 += gradient_rows::<V>(&w, &band, self.lambda, last, &s, out);
+            l1 += gradient_rows::<V>(&w, &band, self.lambda, last, &s, self.out);
         }
         [l1, ssim]
     }
@@ -312,7 +294,10 @@ impl Kernel for LossBand<'_> {
 struct BandView<'a> {
     first: usize,
     height: usize,
+    channel: usize,
     target: &'a Target,
+    /// The channel's plane.
+    image: &'a [f32],
 }
 
 impl BandView<'_> {
@@ -322,74 +307,65 @@ impl BandView<'_> {
         (self.first + r).checked_sub(2 * HALF).filter(|&y| y < self.target.height)
     }
 
-    fn range(&self, channel: usize, y: usize) -> std::ops::Range<usize> {
+    /// x and y of an image row.
+    #[inline(always)]
+    fn pixels(&self, y: usize) -> (&[f32], &[[u8; LANES]]) {
         let width = self.target.width;
-        let start = (channel * self.target.height + y) * width;
-        start..start + width
+        (&self.image[y * width..(y + 1) * width], &self.target.bytes[self.target.range(self.channel, y)])
     }
 }
 
-/// Row `r` of x, x², x y, blurred along, into the rings.
+/// Row `r` of x, x², x y, blurred along, into the ring.
 #[inline(always)]
-fn along_row<V: F32x8>(
-    w: &[V; HALF + 1],
-    image: &[f32],
-    band: &BandView<'_>,
-    channel: usize,
-    r: usize,
-    s: &mut Scratch,
-) {
-    let [x, y, xx, xy, ..] = &mut s.rows;
-    let range = band.row(r).map(|row| band.range(channel, row));
-    match &range {
-        Some(range) => x[PAD..PAD + band.target.width].copy_from_slice(&image[range.clone()]),
-        None => x.fill(0.0),
+fn along_row<V: F32x8>(w: &[V; HALF + 1], band: &BandView<'_>, r: usize, s: &mut Scratch) {
+    let [x, xx, xy] = &mut s.rows;
+    match band.row(r) {
+        Some(row) => {
+            let (image, bytes) = band.pixels(row);
+            let images = image.chunks(LANES).zip(bytes);
+            let rows = x[PAD..].chunks_exact_mut(LANES).zip(xx[PAD..].chunks_exact_mut(LANES));
+            let rows = rows.zip(xy[PAD..].chunks_exact_mut(LANES));
+            for ((image, bytes), ((x, xx), xy)) in images.zip(rows) {
+                let (vx, vy) = (load_lanes::<V>(image), unpack::<V>(bytes));
+                vx.store_slice(x);
+                (vx * vx).store_slice(xx);
+                (vx * vy).store_slice(xy);
+            }
+        }
+        None => [x, xx, xy].into_iter().for_each(|row| row.fill(0.0)),
     }
-    unpack(range.map(|range| &band.target.bytes[range]), y);
-    for (((x, y), xx), xy) in x.iter().zip(&*y).zip(&mut *xx).zip(&mut *xy) {
-        *xx = x * x;
-        *xy = x * y;
-    }
-    blur_row(w, x, s.along[0].line_mut(r));
-    blur_row(w, xx, s.along[1].line_mut(r));
-    blur_row(w, xy, s.along[2].line_mut(r));
-    s.images[0].line_mut(r).copy_from_slice(x);
-    s.images[1].line_mut(r).copy_from_slice(y);
+    blur_rows(w, s.rows.each_ref().map(|row| &row[..]), &mut s.along, r);
 }
 
-/// Four rows of slopes, blurred along, into the rings; returns Σ s over the rows that belong to
+/// Four rows of slopes, blurred along, into the ring; returns Σ s over the rows that belong to
 /// the band. `first` is the first row of the first window; the slopes' rows are numbered like it.
 #[inline(always)]
-fn slopes_rows<V: F32x8>(w: &[V; HALF + 1], band: &BandView<'_>, channel: usize, first: usize, s: &mut Scratch) -> f64 {
+fn slopes_rows<V: F32x8>(w: &[V; HALF + 1], band: &BandView<'_>, first: usize, s: &mut Scratch) -> f64 {
     let width = band.target.width;
-    let mut sum = 0.0;
     let centres: [Option<usize>; STEP] = std::array::from_fn(|o| band.row(first + o + HALF));
+    // A row outside the image reads another row's blurs; what comes of it is not used.
+    let blurs = centres.map(|row| &band.target.blurs[band.target.range(band.channel, row.unwrap_or(0))]);
     let mut ssim = [V::zero(); STEP];
-    let windows = s.along.each_ref().map(|ring| ring.windows(first));
-    for x in (0..width).step_by(8) {
-        let mean = blur_down(w, &windows[0], x);
-        let square = blur_down(w, &windows[1], x);
-        let product = blur_down(w, &windows[2], x);
-        let lanes = (width - x).min(8);
+    for (i, fields) in s.along.iter().enumerate() {
+        let mean = blur_down(w, &fields[0], first);
+        let square = blur_down(w, &fields[1], first);
+        let product = blur_down(w, &fields[2], first);
+        let lanes = (width - i * LANES).min(LANES);
         for o in 0..STEP {
-            let Some(row) = centres[o] else { continue };
-            let at = band.range(channel, row).start + x;
-            let mean_y = load_lanes(&band.target.mean[at..at + lanes]);
-            let square_y = load_lanes(&band.target.square[at..at + lanes]);
-            let (value, slopes) = ssim_slopes(mean[o], square[o], product[o], mean_y, square_y);
+            let [mean_y, square_y] = &blurs[o][i];
+            let (value, slopes) = ssim_slopes(mean[o], square[o], product[o], V::load(mean_y), V::load(square_y));
             ssim[o] = ssim[o] + keep(value, lanes);
-            for (slope, line) in slopes.into_iter().zip(&mut s.lines[o]) {
-                keep(slope, lanes).store_slice(&mut line[PAD + x..]);
+            for k in 0..3 {
+                keep(slopes[k], lanes).store_slice(&mut s.lines[o][k][PAD + i * LANES..]);
             }
         }
     }
+    let mut sum = 0.0;
     for o in 0..STEP {
-        for (line, ring) in s.lines[o].iter_mut().zip(&mut s.slopes) {
-            if centres[o].is_none() {
-                line.fill(0.0);
-            }
-            blur_row(w, line, ring.line_mut(first + o));
+        if centres[o].is_none() {
+            s.lines[o].iter_mut().for_each(|line| line.fill(0.0));
         }
+        blur_rows(w, s.lines[o].each_ref().map(|line| &line[..]), &mut s.slopes, first + o);
         // Slopes' row n has its centre at row n + HALF; the band's own begin at 2·HALF.
         let inside = (HALF..HALF + band.height).contains(&(first + o));
         if inside && centres[o].is_some() {
@@ -402,7 +378,7 @@ fn slopes_rows<V: F32x8>(w: &[V; HALF + 1], band: &BandView<'_>, channel: usize,
 /// The first `lanes` lanes, zero in the others.
 #[inline(always)]
 fn keep<V: F32x8>(v: V, lanes: usize) -> V {
-    if lanes == 8 {
+    if lanes == LANES {
         return v;
     }
     let mut values = v.to_array();
@@ -443,25 +419,20 @@ fn gradient_rows<V: F32x8>(
     let n = (3 * width * band.target.height) as f32;
     let (sign_scale, ssim_scale) = (V::splat((1.0 - lambda) / n), V::splat(-lambda / n));
     let mut l1 = [V::zero(); STEP];
-    let windows = s.slopes.each_ref().map(|ring| ring.windows(last));
-    for x in (0..width).step_by(8) {
-        let d_mean = blur_down(w, &windows[0], x);
-        let d_xx = blur_down(w, &windows[1], x);
-        let d_xy = blur_down(w, &windows[2], x);
-        for o in 0..STEP {
-            let row = last + o;
-            if row >= band.height {
-                break;
-            }
-            let vx = V::load_slice(&s.images[0].line(row + 2 * HALF)[PAD + x..]);
-            let vy = V::load_slice(&s.images[1].line(row + 2 * HALF)[PAD + x..]);
+    for (i, fields) in s.slopes.iter().enumerate() {
+        let d_mean = blur_down(w, &fields[0], last);
+        let d_xx = blur_down(w, &fields[1], last);
+        let d_xy = blur_down(w, &fields[2], last);
+        for o in 0..STEP.min(band.height - last) {
+            let (image, bytes) = band.pixels(band.first + last + o);
+            let (vx, vy) = (load_lanes::<V>(&image[i * LANES..]), unpack::<V>(&bytes[i]));
             let difference = vx - vy;
             let positive = V::splat(1.0).and(difference.gt(V::zero()));
             let negative = V::splat(1.0).and(V::zero().gt(difference));
             l1[o] = l1[o] + difference.max(difference.neg());
             let ssim = (vx + vx).mul_add(d_xx[o], d_mean[o]) + vy * d_xy[o];
             let gradient = (positive - negative).mul_add(sign_scale, ssim * ssim_scale);
-            store_lanes(gradient, &mut out[row * width + x..(row + 1) * width]);
+            store_lanes(gradient, &mut out[(last + o) * width..(last + o + 1) * width][i * LANES..]);
         }
     }
     l1.iter().flat_map(|v| v.to_array()).map(f64::from).sum()

@@ -70,6 +70,11 @@ impl F32x8 for Avx2 {
         Self(intrinsic!(_mm256_loadu_ps(v.as_ptr())))
     }
     #[inline(always)]
+    fn load_bytes(v: &[u8; 8]) -> Self {
+        let bytes = intrinsic!(_mm_cvtsi64_si128(i64::from_le_bytes(*v)));
+        Self(intrinsic!(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes))))
+    }
+    #[inline(always)]
     fn store(self, to: &mut [f32; 8]) {
         intrinsic!(_mm256_storeu_ps(to.as_mut_ptr(), self.0))
     }
