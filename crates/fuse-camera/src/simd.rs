@@ -13,6 +13,9 @@ pub enum Level {
     Portable,
     /// AVX2 and FMA.
     Avx2Fma,
+    /// AVX-512 (F, VL, BW, DQ): sixteen lanes where a kernel is made for them, and twice the
+    /// registers for the others, which then compute the same bits as with AVX2.
+    Avx512,
 }
 
 impl Level {
@@ -21,25 +24,42 @@ impl Level {
         match self {
             Self::Portable => "portable",
             Self::Avx2Fma => "avx2+fma",
+            Self::Avx512 => "avx512",
         }
     }
 }
 
-/// The level in use: the machine's best, or `portable` when the environment variable
-/// `FUSE_SIMD=portable` asks for it. Decided at the first call.
+/// The level in use: the machine's best, or less where the environment variable `FUSE_SIMD` names
+/// another (`portable`, `avx2+fma`), so that two machines give the same bits. Decided at the first
+/// call.
 pub fn level() -> Level {
     static LEVEL: OnceLock<Level> = OnceLock::new();
-    *LEVEL.get_or_init(|| match std::env::var("FUSE_SIMD").as_deref() {
-        Ok("portable") => Level::Portable,
-        _ => best(),
+    *LEVEL.get_or_init(|| {
+        let wanted = std::env::var("FUSE_SIMD");
+        let named = [Level::Portable, Level::Avx2Fma].into_iter().find(|l| Ok(l.name()) == wanted.as_deref());
+        named.map_or_else(best, |l| l.min(best()))
     })
 }
 
 /// The best level that this machine has.
 pub fn best() -> Level {
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma") {
-        return Level::Avx2Fma;
+    static BEST: OnceLock<Level> = OnceLock::new();
+    *BEST.get_or_init(detect)
+}
+
+#[cfg(target_arch = "x86_64")]
+fn detect() -> Level {
+    use std::is_x86_feature_detected as has;
+    if !(has!("avx2") && has!("fma")) {
+        Level::Portable
+    } else if has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq") {
+        Level::Avx512
+    } else {
+        Level::Avx2Fma
     }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn detect() -> Level {
     Level::Portable
 }

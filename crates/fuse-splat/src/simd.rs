@@ -1,8 +1,9 @@
-//! Eight f32 lanes at the machine's SIMD level, and the one place where the level is chosen.
+//! Lanes of f32 at the machine's SIMD level, and the one place where the level is chosen.
 //!
 //! A kernel is a struct with its arguments that implements [`Kernel`]; its `run` is generic over
 //! [`F32x8`] and, like everything it calls, `#[inline(always)]`, so that the whole kernel is
-//! compiled once inside a function that enables AVX2 and FMA, and once for the build target.
+//! compiled once for each level inside a function that enables its instructions, and once for the
+//! build target. A [`WideKernel`] also works with sixteen lanes where the level has them.
 
 use std::array::from_fn;
 use std::ops::{Add, Div, Mul, Sub};
@@ -12,64 +13,33 @@ use fuse_camera::simd::Level;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-/// Eight lanes of f32. Masks are lanes with all bits set or none.
-pub(crate) trait F32x8:
+/// Lanes of f32, a multiple of eight of them.
+pub(crate) trait Floats:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
+    /// Number of lanes.
+    const LANES: usize;
+
     fn splat(v: f32) -> Self;
-    fn load(v: &[f32; 8]) -> Self;
-    /// Eight integers.
-    fn load_bytes(v: &[u8; 8]) -> Self;
-    fn store(self, to: &mut [f32; 8]);
+    /// The values at the start of `v`.
+    fn load_slice(v: &[f32]) -> Self;
+    /// Writes to the first places of `to`.
+    fn store_slice(self, to: &mut [f32]);
     /// `self · a + b`, rounded once where the level has FMA.
     fn mul_add(self, a: Self, b: Self) -> Self;
     fn min(self, o: Self) -> Self;
-    fn max(self, o: Self) -> Self;
-    fn sqrt(self) -> Self;
-    /// Mask of lanes with `self ≥ o`; false for NaN.
-    fn ge(self, o: Self) -> Self;
-    /// Mask of lanes with `self > o`; false for NaN.
-    fn gt(self, o: Self) -> Self;
-    /// Bitwise and.
-    fn and(self, o: Self) -> Self;
-    /// `self` where the mask is set, else `other`.
-    fn select(self, mask: Self, other: Self) -> Self;
-    /// Bit `i` is the sign bit of lane `i`.
-    fn bits(self) -> u32;
+    /// `self` in the lanes with `a ≥ b`, zero in the others, and where one of them is NaN.
+    fn where_ge(self, a: Self, b: Self) -> Self;
+    /// Whether a lane has `self ≥ o`.
+    fn any_ge(self, o: Self) -> bool;
     /// Adds the integer in the low bits of `t` (a float of the form 1.5·2²³ + n) to the exponent.
     fn add_exponent(self, t: Self) -> Self;
-    /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
-    fn split_exponent(self) -> (Self, Self);
     /// The sums over the lanes of each of eight vectors.
     fn sums(v: [Self; 8]) -> [f32; 8];
 
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
-    }
-
-    #[inline(always)]
-    fn neg(self) -> Self {
-        Self::zero() - self
-    }
-
-    /// The eight values at the start of `v`.
-    #[inline(always)]
-    fn load_slice(v: &[f32]) -> Self {
-        Self::load(v.first_chunk().expect("at least eight values"))
-    }
-
-    /// Writes to the first eight places of `to`.
-    #[inline(always)]
-    fn store_slice(self, to: &mut [f32]) {
-        self.store(to.first_chunk_mut().expect("at least eight places"));
-    }
-
-    #[inline(always)]
-    fn to_array(self) -> [f32; 8] {
-        let mut out = [0.0; 8];
-        self.store(&mut out);
-        out
     }
 
     /// `2^self`, relative error below 3e-7 for lanes in [-126, 126]; outside, the exponent wraps
@@ -86,6 +56,38 @@ pub(crate) trait F32x8:
         let p = p.mul_add(f, Self::splat(0.693_146_94));
         let p = p.mul_add(f, Self::splat(1.0));
         p.add_exponent(t)
+    }
+}
+
+/// Eight lanes of f32. Masks are lanes with all bits set or none.
+pub(crate) trait F32x8: Floats {
+    fn load(v: &[f32; 8]) -> Self;
+    /// Eight integers.
+    fn load_bytes(v: &[u8; 8]) -> Self;
+    fn store(self, to: &mut [f32; 8]);
+    fn max(self, o: Self) -> Self;
+    fn sqrt(self) -> Self;
+    /// Mask of lanes with `self ≥ o`; false for NaN.
+    fn ge(self, o: Self) -> Self;
+    /// Mask of lanes with `self > o`; false for NaN.
+    fn gt(self, o: Self) -> Self;
+    /// Bitwise and.
+    fn and(self, o: Self) -> Self;
+    /// `self` where the mask is set, else `other`.
+    fn select(self, mask: Self, other: Self) -> Self;
+    /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
+    fn split_exponent(self) -> (Self, Self);
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::zero() - self
+    }
+
+    #[inline(always)]
+    fn to_array(self) -> [f32; 8] {
+        let mut out = [0.0; 8];
+        self.store(&mut out);
+        out
     }
 
     /// `exp(self)`, argument clamped to [-87, 87].
@@ -115,20 +117,52 @@ pub(crate) trait Kernel {
     fn run<V: F32x8>(self) -> Self::Output;
 }
 
+/// Work on as many lanes as the level has.
+pub(crate) trait WideKernel {
+    type Output;
+    /// Must be `#[inline(always)]`.
+    fn run<V: Floats>(self) -> Self::Output;
+}
+
 /// Runs a kernel at `level`, or portably where the machine lacks that level.
 #[inline]
 pub(crate) fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
-    if level == Level::Avx2Fma && fuse_camera::simd::best() == Level::Avx2Fma {
-        if *x86::HAS_AVX512 {
-            // SAFETY: the machine was just found to have all of these.
-            return unsafe { x86::run_avx512(kernel) };
-        }
-        // SAFETY: the machine was just found to have AVX2 and FMA.
-        return unsafe { x86::run(kernel) };
+    match level.min(fuse_camera::simd::best()) {
+        // SAFETY: the machine was found to have AVX2, FMA and these parts of AVX-512.
+        Level::Avx512 => return unsafe { x86::run_avx512(kernel) },
+        // SAFETY: the machine was found to have AVX2 and FMA.
+        Level::Avx2Fma => return unsafe { x86::run(kernel) },
+        Level::Portable => {}
     }
     let _ = level;
     kernel.run::<Portable>()
+}
+
+/// The same with sixteen lanes where the level has them.
+#[inline]
+pub(crate) fn dispatch_wide<K: WideKernel>(level: Level, kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    match level.min(fuse_camera::simd::best()) {
+        // SAFETY: the machine was found to have AVX2, FMA and these parts of AVX-512.
+        Level::Avx512 => return unsafe { x86::run_wide_avx512(kernel) },
+        // SAFETY: the machine was found to have AVX2 and FMA.
+        Level::Avx2Fma => return unsafe { x86::run_wide(kernel) },
+        Level::Portable => {}
+    }
+    let _ = level;
+    kernel.run::<Portable>()
+}
+
+/// Asks for the cache line of `values[at]`, if there is one, before it is needed.
+#[inline(always)]
+pub(crate) fn prefetch<T>(values: &[T], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(value) = values.get(at) {
+        x86::prefetch(value);
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (values, at);
 }
 
 /// Plain arrays, for whatever the build target has.
@@ -156,11 +190,52 @@ fn mask(set: bool) -> f32 {
     f32::from_bits(if set { u32::MAX } else { 0 })
 }
 
-impl F32x8 for Portable {
+impl Floats for Portable {
+    const LANES: usize = 8;
+
     #[inline(always)]
     fn splat(v: f32) -> Self {
         Self([v; 8])
     }
+    #[inline(always)]
+    fn load_slice(v: &[f32]) -> Self {
+        Self::load(v.first_chunk().expect("at least eight values"))
+    }
+    #[inline(always)]
+    fn store_slice(self, to: &mut [f32]) {
+        self.store(to.first_chunk_mut().expect("at least eight places"));
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        // Not f32::mul_add, which is a slow library call where the target has no FMA.
+        self * a + b
+    }
+    #[inline(always)]
+    fn min(self, o: Self) -> Self {
+        Self(from_fn(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
+    }
+    #[inline(always)]
+    fn where_ge(self, a: Self, b: Self) -> Self {
+        self.and(a.ge(b))
+    }
+    #[inline(always)]
+    fn any_ge(self, o: Self) -> bool {
+        (0..8).any(|i| self.0[i] >= o.0[i])
+    }
+    #[inline(always)]
+    fn add_exponent(self, t: Self) -> Self {
+        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits().wrapping_add(t.0[i].to_bits() << 23))))
+    }
+    #[inline(always)]
+    fn sums(v: [Self; 8]) -> [f32; 8] {
+        from_fn(|i| {
+            let a = v[i].0;
+            ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7]))
+        })
+    }
+}
+
+impl F32x8 for Portable {
     #[inline(always)]
     fn load(v: &[f32; 8]) -> Self {
         Self(*v)
@@ -172,15 +247,6 @@ impl F32x8 for Portable {
     #[inline(always)]
     fn store(self, to: &mut [f32; 8]) {
         *to = self.0;
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        // Not f32::mul_add, which is a slow library call where the target has no FMA.
-        self * a + b
-    }
-    #[inline(always)]
-    fn min(self, o: Self) -> Self {
-        Self(from_fn(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
@@ -207,25 +273,10 @@ impl F32x8 for Portable {
         Self(from_fn(|i| if mask.0[i].to_bits() != 0 { self.0[i] } else { other.0[i] }))
     }
     #[inline(always)]
-    fn bits(self) -> u32 {
-        (0..8).fold(0, |bits, i| bits | (self.0[i].to_bits() >> 31) << i)
-    }
-    #[inline(always)]
-    fn add_exponent(self, t: Self) -> Self {
-        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits().wrapping_add(t.0[i].to_bits() << 23))))
-    }
-    #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {
         let e: [i32; 8] = from_fn(|i| (self.0[i].to_bits() as i32).wrapping_sub(HALF_ROOT) >> 23);
         let m = from_fn(|i| f32::from_bits((self.0[i].to_bits() as i32).wrapping_sub(e[i] << 23) as u32));
         (Self(from_fn(|i| e[i] as f32)), Self(m))
-    }
-    #[inline(always)]
-    fn sums(v: [Self; 8]) -> [f32; 8] {
-        from_fn(|i| {
-            let a = v[i].0;
-            ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7]))
-        })
     }
 }
 
@@ -244,20 +295,6 @@ mod tests {
             let v = V::load(self.0);
             let sums = V::sums(from_fn(|i| v * V::splat(i as f32)));
             (v.exp2().to_array(), v.max(V::splat(1e-3)).log2().to_array(), sums)
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[test]
-    fn more_registers_do_not_change_a_bit() {
-        if !*x86::HAS_AVX512 || fuse_camera::simd::best() != Level::Avx2Fma {
-            return;
-        }
-        for k in 0..4000 {
-            let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
-            // SAFETY: the machine was just found to have these instructions.
-            let (narrow, wide) = unsafe { (x86::run(Elementary(&x)), x86::run_avx512(Elementary(&x))) };
-            assert_eq!(narrow, wide);
         }
     }
 

@@ -210,7 +210,7 @@ impl Band {
         out: &mut [MaybeUninit<f32>],
     ) {
         #[cfg(target_arch = "x86_64")]
-        if fuse_camera::simd::level() == fuse_camera::simd::Level::Avx2Fma {
+        if fuse_camera::simd::level() >= fuse_camera::simd::Level::Avx2Fma {
             // SAFETY: the level is only chosen on a machine that has AVX2 and FMA.
             return unsafe { self.run_avx2(scratch, first, observed, rendered, out) };
         }

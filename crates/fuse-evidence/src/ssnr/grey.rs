@@ -107,7 +107,7 @@ pub fn quantize(view: View<'_, [f32; 3]>) -> Result<Vec<[u8; 3]>, EvidenceError>
 /// Whether all values were finite; bytes of those that are not mean nothing.
 fn block_to_bytes(values: &[f32], out: &mut [u8]) -> bool {
     #[cfg(target_arch = "x86_64")]
-    if fuse_camera::simd::level() == fuse_camera::simd::Level::Avx2Fma {
+    if fuse_camera::simd::level() >= fuse_camera::simd::Level::Avx2Fma {
         // SAFETY: the level is only chosen on a machine that has AVX2.
         return unsafe { block_to_bytes_avx2(values, out) };
     }

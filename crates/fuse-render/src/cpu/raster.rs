@@ -42,8 +42,8 @@ macro_rules! dispatch {
     ($level:expr, $portable:ident, $avx2:ident, $($argument:expr),*) => {
         match $level {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: this level is reported only when the processor has AVX2.
-            Level::Avx2Fma => unsafe { $avx2($($argument),*) },
+            // SAFETY: these levels are reported only when the processor has AVX2.
+            Level::Avx2Fma | Level::Avx512 => unsafe { $avx2($($argument),*) },
             _ => $portable($($argument),*),
         }
     };

@@ -4,9 +4,10 @@
 //! αᵢ < 1/255; b is the background.
 //!
 //! A task owns a row of tiles, hence a band of the image. The splat is in the outer loop, the
-//! state of the tile's 64 blocks of eight pixels stays in the first-level cache. A block is alive
-//! while one of its pixels lets through at least 1e-4; every eighth splat looks. The blocks that
-//! were drawn are written back to the masks, so that the backward pass does the same work.
+//! state of the tile's 64 blocks of eight pixels stays in the first-level cache. A vector holds one
+//! block or, with sixteen lanes, two side by side, of which one may lie outside the mask. A vector
+//! is alive while one of its pixels lets through at least 1e-4; every eighth splat looks. The masks
+//! less what was not alive are written back, so that the backward pass does the same work.
 
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
@@ -15,11 +16,15 @@ use crate::constants::{
     ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH,
     TRANSMITTANCE_MIN,
 };
-use crate::simd::{F32x8, Kernel, dispatch};
+use crate::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 use crate::stages::{Pairs, Planes, Splat, View};
 
 /// Blocks side by side in a tile.
 pub(super) const BLOCK_COLUMNS: usize = TILE_WIDTH / BLOCK_WIDTH;
+/// Pixels of a block.
+pub(super) const BLOCK: usize = BLOCK_WIDTH * BLOCK_HEIGHT;
+/// Splats by which memory is asked for ahead of its use.
+pub(super) const AHEAD: usize = 6;
 /// Splats between two looks at which blocks are alive.
 const LOOK: usize = 8;
 
@@ -48,7 +53,7 @@ pub(crate) fn rasterize(
     image.color.resize(3 * n, 0.0);
     image.transmittance.resize(n, 0.0);
     image.depth.resize(if with_depth { n } else { 0 }, 0.0);
-    bands(view, background, splats, pairs, image).into_par_iter().for_each(|band| dispatch(level, band));
+    bands(view, background, splats, pairs, image).into_par_iter().for_each(|band| dispatch_wide(level, band));
 }
 
 /// One row of tiles and its part of the image.
@@ -105,33 +110,35 @@ fn bands<'a>(
     out
 }
 
-/// What a block of eight pixels has gathered.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-struct BlockState {
-    transmittance: [f32; 8],
-    color: [[f32; 8]; 3],
-    depth: [f32; 8],
-}
+/// Pixels of a tile.
+pub(super) const TILE_PIXELS: usize = TILE_WIDTH * TILE_HEIGHT;
+/// One value for each pixel of a tile, block by block, and a gap: planes that lie 4 KiB apart make
+/// the processor take a load from one for a load of what was just stored to the other.
+pub(super) type TilePlane = [f32; TILE_PIXELS + 16];
 
 /// State of a tile.
+#[repr(C, align(64))]
 struct Tile {
-    blocks: [BlockState; TILE_BLOCKS],
-    /// α of one splat, by place in its list of blocks.
-    alpha: [[f32; 8]; TILE_BLOCKS],
+    transmittance: TilePlane,
+    color: [TilePlane; 3],
+    depth: TilePlane,
+    /// α of one splat, by place in its list of vectors.
+    alpha: TilePlane,
 }
 
 impl Tile {
     const EMPTY: Self = Self {
-        blocks: [BlockState { transmittance: [1.0; 8], color: [[0.0; 8]; 3], depth: [0.0; 8] }; TILE_BLOCKS],
-        alpha: [[0.0; 8]; TILE_BLOCKS],
+        transmittance: [1.0; TILE_PIXELS + 16],
+        color: [[0.0; TILE_PIXELS + 16]; 3],
+        depth: [0.0; TILE_PIXELS + 16],
+        alpha: [0.0; TILE_PIXELS + 16],
     };
 }
 
-impl Kernel for Band<'_> {
+impl WideKernel for Band<'_> {
     type Output = ();
     #[inline(always)]
-    fn run<V: F32x8>(mut self) {
+    fn run<V: Floats>(mut self) {
         let base = self.offsets[0] as usize;
         for column in 0..self.view.tiles_x() {
             let range = self.offsets[column] as usize - base..self.offsets[column + 1] as usize - base;
@@ -143,29 +150,26 @@ impl Kernel for Band<'_> {
             } else {
                 draw_tile::<V, false>(origin, self.splats, gaussian, mask, &mut tile);
             }
-            self.store::<V>(column, &tile);
+            self.store::<V>(column, &mut tile);
         }
     }
 }
 
-/// Offsets of a block's eight pixel centres from the tile's corner.
-pub(super) struct BlockOffsets {
-    pub x: [[f32; 8]; TILE_BLOCKS],
-    pub y: [[f32; 8]; TILE_BLOCKS],
+/// Offsets of the pixel centres from the tile's corner.
+#[repr(C, align(64))]
+pub(super) struct Offsets {
+    pub x: TilePlane,
+    pub y: TilePlane,
 }
 
-pub(super) static OFFSETS: BlockOffsets = {
-    let columns = TILE_WIDTH / BLOCK_WIDTH;
-    let mut offsets = BlockOffsets { x: [[0.0; 8]; TILE_BLOCKS], y: [[0.0; 8]; TILE_BLOCKS] };
-    let mut b = 0;
-    while b < TILE_BLOCKS {
-        let mut lane = 0;
-        while lane < 8 {
-            offsets.x[b][lane] = ((b % columns) * BLOCK_WIDTH + lane % BLOCK_WIDTH) as f32 + 0.5;
-            offsets.y[b][lane] = ((b / columns) * BLOCK_HEIGHT + lane / BLOCK_WIDTH) as f32 + 0.5;
-            lane += 1;
-        }
-        b += 1;
+pub(super) static OFFSETS: Offsets = {
+    let mut offsets = Offsets { x: [0.0; TILE_PIXELS + 16], y: [0.0; TILE_PIXELS + 16] };
+    let mut i = 0;
+    while i < TILE_PIXELS {
+        let (block, lane) = (i / BLOCK, i % BLOCK);
+        offsets.x[i] = (block % BLOCK_COLUMNS * BLOCK_WIDTH + lane % BLOCK_WIDTH) as f32 + 0.5;
+        offsets.y[i] = (block / BLOCK_COLUMNS * BLOCK_HEIGHT + lane / BLOCK_WIDTH) as f32 + 0.5;
+        i += 1;
     }
     offsets
 };
@@ -180,7 +184,7 @@ pub(super) struct Broadcast<V> {
     pub color: [V; 3],
 }
 
-impl<V: F32x8> Broadcast<V> {
+impl<V: Floats> Broadcast<V> {
     #[inline(always)]
     pub fn new(splat: &Splat, origin: [f32; 2]) -> Self {
         Self {
@@ -193,22 +197,22 @@ impl<V: F32x8> Broadcast<V> {
         }
     }
 
-    /// (dx, dy) at the pixels of a block.
+    /// (dx, dy) at the pixels of the vector that begins at pixel `at` of the tile.
     #[inline(always)]
-    pub fn offset(&self, block: usize) -> (V, V) {
-        (V::load(&OFFSETS.x[block]) - self.mean[0], V::load(&OFFSETS.y[block]) - self.mean[1])
+    pub fn offset(&self, at: usize) -> (V, V) {
+        (V::load_slice(&OFFSETS.x[at..]) - self.mean[0], V::load_slice(&OFFSETS.y[at..]) - self.mean[1])
     }
 
-    /// α at the pixels of a block, clamped only where `CLAMP` says that it can be necessary.
+    /// α at the pixels of a vector, clamped only where `CLAMP` says that it can be necessary.
     #[inline(always)]
-    pub fn alpha<const CLAMP: bool>(&self, block: usize) -> V {
-        let (dx, dy) = self.offset(block);
+    pub fn alpha<const CLAMP: bool>(&self, at: usize) -> V {
+        let (dx, dy) = self.offset(at);
         let linear = self.b.mul_add(dy, self.a * dx);
         let constant = (self.c * dy).mul_add(dy, self.log2_opacity);
         let p = linear.mul_add(dx, constant);
         let alpha = if CLAMP { p.exp2().min(V::splat(ALPHA_MAX)) } else { p.exp2() };
         // The test is on the exponent: far from the mean, 2^p wraps.
-        alpha.and(p.ge(V::splat(LOG2_ALPHA_MIN)))
+        alpha.where_ge(p, V::splat(LOG2_ALPHA_MIN))
     }
 }
 
@@ -218,33 +222,41 @@ pub(super) fn clamps(splat: &Splat) -> bool {
     splat.log2_opacity >= LOG2_ALPHA_MAX
 }
 
-/// The numbers of the blocks in a mask.
+/// The first pixels, in the tile, of the vectors in which a mask has a block.
 #[inline(always)]
-pub(super) fn blocks(mut mask: u64) -> impl Iterator<Item = usize> {
+pub(super) fn vectors<V: Floats>(mask: u64) -> impl Iterator<Item = usize> {
+    let mut first = if V::LANES == BLOCK { mask } else { (mask | mask >> 1) & 0x5555_5555_5555_5555 };
     std::iter::from_fn(move || {
-        let block = mask.trailing_zeros() as usize;
-        mask &= mask.wrapping_sub(1);
-        (block < TILE_BLOCKS).then_some(block)
+        let block = first.trailing_zeros() as usize;
+        first &= first.wrapping_sub(1);
+        // Even numbers are all there are with sixteen lanes, but the compiler does not know.
+        let at = block * BLOCK;
+        (at <= TILE_PIXELS - V::LANES).then_some(at)
     })
 }
 
 #[inline(always)]
-fn draw_tile<V: F32x8, const DEPTH: bool>(
+fn draw_tile<V: Floats, const DEPTH: bool>(
     origin: [f32; 2],
     splats: &[Splat],
     gaussian: &[u32],
     mask: &mut [u64],
     tile: &mut Tile,
 ) {
-    let mut alive = u64::MAX;
+    let (mut alive, mut drawn) = (u64::MAX, 0);
     for (k, (&g, mask)) in gaussian.iter().zip(mask).enumerate() {
-        if k.is_multiple_of(LOOK) && k > 0 {
-            alive = still_alive::<V>(tile, alive);
+        if let Some(&soon) = gaussian.get(k + AHEAD) {
+            prefetch(splats, soon as usize);
+        }
+        if k.is_multiple_of(LOOK) {
+            alive = still_alive::<V>(tile, alive, drawn);
+            drawn = 0;
         }
         *mask &= alive;
         if *mask == 0 {
             continue;
         }
+        drawn |= *mask;
         let splat = &splats[g as usize];
         if clamps(splat) {
             draw_pair::<V, DEPTH, true>(splat, origin, *mask, tile);
@@ -257,7 +269,7 @@ fn draw_tile<V: F32x8, const DEPTH: bool>(
 /// One splat on one tile: first all α, then all blending. In one loop more values are alive than
 /// AVX2 has registers.
 #[inline(always)]
-fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
+fn draw_pair<V: Floats, const DEPTH: bool, const CLAMP: bool>(
     splat: &Splat,
     origin: [f32; 2],
     mask: u64,
@@ -265,30 +277,30 @@ fn draw_pair<V: F32x8, const DEPTH: bool, const CLAMP: bool>(
 ) {
     let s = Broadcast::<V>::new(splat, origin);
     let depth = V::splat(splat.depth);
-    for (block, alpha) in blocks(mask).zip(&mut tile.alpha) {
-        s.alpha::<CLAMP>(block).store(alpha);
+    for (at, alpha) in vectors::<V>(mask).zip(tile.alpha.chunks_exact_mut(V::LANES)) {
+        s.alpha::<CLAMP>(at).store_slice(alpha);
     }
-    for (block, alpha) in blocks(mask).zip(&tile.alpha) {
-        let state = &mut tile.blocks[block];
-        let t = V::load(&state.transmittance);
-        let w = V::load(alpha) * t;
-        (t - w).store(&mut state.transmittance);
-        for (sum, color) in state.color.iter_mut().zip(s.color) {
-            w.mul_add(color, V::load(sum)).store(sum);
+    for (at, alpha) in vectors::<V>(mask).zip(tile.alpha.chunks_exact(V::LANES)) {
+        let t = V::load_slice(&tile.transmittance[at..]);
+        let w = V::load_slice(alpha) * t;
+        (t - w).store_slice(&mut tile.transmittance[at..]);
+        for (sum, color) in tile.color.iter_mut().zip(s.color) {
+            w.mul_add(color, V::load_slice(&sum[at..])).store_slice(&mut sum[at..]);
         }
         if DEPTH {
-            w.mul_add(depth, V::load(&state.depth)).store(&mut state.depth);
+            w.mul_add(depth, V::load_slice(&tile.depth[at..])).store_slice(&mut tile.depth[at..]);
         }
     }
 }
 
-/// Of the blocks in `alive`, those with a pixel that is not finished.
+/// `alive` less the vectors among those in `drawn` without a pixel that is not finished.
 #[inline(always)]
-fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
+fn still_alive<V: Floats>(tile: &Tile, alive: u64, drawn: u64) -> u64 {
+    let vector = (1 << (V::LANES / BLOCK)) - 1;
     let mut still = alive;
-    for block in blocks(alive) {
-        if V::load(&tile.blocks[block].transmittance).ge(V::splat(TRANSMITTANCE_MIN)).bits() == 0 {
-            still &= !(1 << block);
+    for at in vectors::<V>(drawn) {
+        if !V::load_slice(&tile.transmittance[at..]).any_ge(V::splat(TRANSMITTANCE_MIN)) {
+            still &= !(vector << (at / BLOCK));
         }
     }
     still
@@ -297,28 +309,33 @@ fn still_alive<V: F32x8>(tile: &Tile, alive: u64) -> u64 {
 impl Band<'_> {
     /// Blocks → rows of the image, background added.
     #[inline(always)]
-    fn store<V: F32x8>(&mut self, column: usize, tile: &Tile) {
+    fn store<V: Floats>(&mut self, column: usize, tile: &mut Tile) {
         let width = self.view.width;
         let rows = self.transmittance.len() / width;
-        for (b, state) in tile.blocks.iter().enumerate() {
+        for (plane, background) in tile.color.iter_mut().zip(self.background) {
+            let vectors = plane.chunks_exact_mut(V::LANES).zip(tile.transmittance.chunks_exact(V::LANES));
+            for (color, t) in vectors {
+                let sum = V::load_slice(t).mul_add(V::splat(background), V::load_slice(color));
+                sum.store_slice(color);
+            }
+        }
+        for b in 0..TILE_BLOCKS {
             let x = column * TILE_WIDTH + b % BLOCK_COLUMNS * BLOCK_WIDTH;
             let y = b / BLOCK_COLUMNS * BLOCK_HEIGHT;
             if x >= width || y >= rows {
                 continue;
             }
-            let put = |values: V, plane: &mut [f32]| {
-                let lines = values.to_array();
-                for (line, y) in lines.chunks_exact(BLOCK_WIDTH).zip(y..rows) {
+            let put = |from: &TilePlane, plane: &mut [f32]| {
+                for (line, y) in from[b * BLOCK..(b + 1) * BLOCK].chunks_exact(BLOCK_WIDTH).zip(y..rows) {
                     copy_line(line, &mut plane[y * width + x..(y + 1) * width]);
                 }
             };
-            let t = V::load(&state.transmittance);
-            put(t, self.transmittance);
-            for (c, plane) in self.color.iter_mut().enumerate() {
-                put(t.mul_add(V::splat(self.background[c]), V::load(&state.color[c])), plane);
+            put(&tile.transmittance, self.transmittance);
+            for (from, plane) in tile.color.iter().zip(&mut self.color) {
+                put(from, plane);
             }
             if let Some(depth) = &mut self.depth {
-                put(V::load(&state.depth), depth);
+                put(&tile.depth, depth);
             }
         }
     }

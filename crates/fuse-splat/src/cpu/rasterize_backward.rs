@@ -11,10 +11,13 @@
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
-use super::rasterize::{BLOCK_COLUMNS, Broadcast, blocks, clamps, copy_line};
+use super::rasterize::{AHEAD, BLOCK, BLOCK_COLUMNS, Broadcast, TILE_PIXELS, TilePlane, clamps, copy_line, vectors};
 use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
-use crate::simd::{F32x8, Kernel, dispatch};
+use crate::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 use crate::stages::{PairGradient, Pairs, Splat, View};
+
+/// Floats of a cache line.
+const CACHE_LINE: usize = 16;
 
 /// Fills `gradients`, one a pair, from the drawn image and the loss's gradient with respect to it
 /// (three planes each).
@@ -37,7 +40,7 @@ pub(crate) fn rasterize_backward(
         let (gaussian, mask) = (&pairs.gaussian[range.clone()], &pairs.mask[range]);
         tiles.push(TileBackward { view, splats, tile, gaussian, mask, color, gradient, out: own });
     }
-    tiles.into_par_iter().for_each(|tile| dispatch(level, tile));
+    tiles.into_par_iter().for_each(|tile| dispatch_wide(level, tile));
 }
 
 struct TileBackward<'a> {
@@ -51,35 +54,33 @@ struct TileBackward<'a> {
     out: &'a mut [PairGradient],
 }
 
-/// What the backward pass knows of a block of eight pixels.
-#[derive(Clone, Copy)]
-#[repr(C, align(32))]
-struct BlockState {
-    transmittance: [f32; 8],
-    /// R.
-    remaining: [f32; 8],
-    /// G.
-    gradient: [[f32; 8]; 3],
-}
-
 /// State of a tile.
+#[repr(C, align(64))]
 struct Tile {
-    blocks: [BlockState; TILE_BLOCKS],
-    /// α and α/(1 − α) of one splat, by place in its list of blocks.
-    alpha: [[[f32; 8]; 2]; TILE_BLOCKS],
+    transmittance: TilePlane,
+    /// R.
+    remaining: TilePlane,
+    /// G.
+    gradient: [TilePlane; 3],
+    /// α and α/(1 − α) of one splat, by place in its list of vectors.
+    alpha: TilePlane,
+    odds: TilePlane,
 }
 
 impl Tile {
     const EMPTY: Self = Self {
-        blocks: [BlockState { transmittance: [1.0; 8], remaining: [0.0; 8], gradient: [[0.0; 8]; 3] }; TILE_BLOCKS],
-        alpha: [[[0.0; 8]; 2]; TILE_BLOCKS],
+        transmittance: [1.0; TILE_PIXELS + 16],
+        remaining: [0.0; TILE_PIXELS + 16],
+        gradient: [[0.0; TILE_PIXELS + 16]; 3],
+        alpha: [0.0; TILE_PIXELS + 16],
+        odds: [0.0; TILE_PIXELS + 16],
     };
 }
 
-impl Kernel for TileBackward<'_> {
+impl WideKernel for TileBackward<'_> {
     type Output = ();
     #[inline(always)]
-    fn run<V: F32x8>(self) {
+    fn run<V: Floats>(self) {
         if self.gaussian.is_empty() {
             return;
         }
@@ -87,7 +88,11 @@ impl Kernel for TileBackward<'_> {
         let origin = [(column * TILE_WIDTH) as f32, (row * TILE_HEIGHT) as f32];
         let mut tile = Tile::EMPTY;
         self.load::<V>(column, row, &mut tile);
-        for ((&g, &mask), out) in self.gaussian.iter().zip(self.mask).zip(self.out) {
+        self.prefetch_next(column + 1, row);
+        for (k, ((&g, &mask), out)) in self.gaussian.iter().zip(self.mask).zip(self.out).enumerate() {
+            if let Some(&soon) = self.gaussian.get(k + AHEAD) {
+                prefetch(self.splats, soon as usize);
+            }
             *out = [0.0; 9];
             if mask != 0 {
                 let splat = &self.splats[g as usize];
@@ -102,72 +107,91 @@ impl Kernel for TileBackward<'_> {
 }
 
 impl TileBackward<'_> {
+    /// The next tile, which this thread most probably works on next.
+    #[inline(always)]
+    fn prefetch_next(&self, column: usize, row: usize) {
+        let (width, n) = (self.view.width, self.view.pixels());
+        for y in row * TILE_HEIGHT..((row + 1) * TILE_HEIGHT).min(self.view.height) {
+            for c in 0..3 {
+                let at = c * n + y * width + column * TILE_WIDTH;
+                for line in [0, CACHE_LINE] {
+                    prefetch(self.color, at + line);
+                    prefetch(self.gradient, at + line);
+                }
+            }
+        }
+    }
+
     /// Rows of the image → blocks. Pixels outside the image have no gradient.
     #[inline(always)]
-    fn load<V: F32x8>(&self, column: usize, row: usize, tile: &mut Tile) {
+    fn load<V: Floats>(&self, column: usize, row: usize, tile: &mut Tile) {
         let (width, n) = (self.view.width, self.view.pixels());
         let (left, top) = (column * TILE_WIDTH, row * TILE_HEIGHT);
-        for block in 0..TILE_BLOCKS {
-            let x = left + block % BLOCK_COLUMNS * BLOCK_WIDTH;
-            let y = top + block / BLOCK_COLUMNS * BLOCK_HEIGHT;
-            if x >= width || y >= self.view.height {
-                continue;
-            }
-            let columns = BLOCK_WIDTH.min(width - x);
-            let state = &mut tile.blocks[block];
-            let mut remaining = V::zero();
-            for c in 0..3 {
-                let mut color = [0.0; 8];
+        for c in 0..3 {
+            // Where there is no pixel, the gradient is zero and the colour is of no account.
+            let mut color = [0.0; TILE_PIXELS + 16];
+            let gradient = &mut tile.gradient[c];
+            for block in 0..TILE_BLOCKS {
+                let x = left + block % BLOCK_COLUMNS * BLOCK_WIDTH;
+                let y = top + block / BLOCK_COLUMNS * BLOCK_HEIGHT;
+                if x >= width || y >= self.view.height {
+                    continue;
+                }
+                let columns = BLOCK_WIDTH.min(width - x);
                 for line in 0..BLOCK_HEIGHT.min(self.view.height - y) {
                     let at = c * n + (y + line) * width + x;
-                    let lane = line * BLOCK_WIDTH;
-                    copy_line(&self.color[at..at + columns], &mut color[lane..lane + BLOCK_WIDTH]);
-                    copy_line(&self.gradient[at..at + columns], &mut state.gradient[c][lane..lane + BLOCK_WIDTH]);
+                    let pixel = block * BLOCK + line * BLOCK_WIDTH;
+                    copy_line(&self.color[at..at + columns], &mut color[pixel..pixel + BLOCK_WIDTH]);
+                    copy_line(&self.gradient[at..at + columns], &mut gradient[pixel..pixel + BLOCK_WIDTH]);
                 }
-                remaining = V::load(&color).mul_add(V::load(&state.gradient[c]), remaining);
             }
-            remaining.store(&mut state.remaining);
+            for at in (0..TILE_PIXELS).step_by(V::LANES) {
+                let product = V::load_slice(&color[at..])
+                    .mul_add(V::load_slice(&gradient[at..]), V::load_slice(&tile.remaining[at..]));
+                product.store_slice(&mut tile.remaining[at..]);
+            }
         }
     }
 }
 
 /// The nine sums of one splat over the blocks in `mask`; advances the tile's state past it.
 #[inline(always)]
-fn pair_gradient<V: F32x8, const CLAMP: bool>(
+fn pair_gradient<V: Floats, const CLAMP: bool>(
     splat: &Splat,
     origin: [f32; 2],
     mask: u64,
     tile: &mut Tile,
 ) -> PairGradient {
     let s = Broadcast::<V>::new(splat, origin);
-    for (block, [alpha, odds]) in blocks(mask).zip(&mut tile.alpha) {
-        let a = s.alpha::<CLAMP>(block);
-        a.store(alpha);
-        (a / (V::splat(1.0) - a)).store(odds);
+    let places = tile.alpha.chunks_exact_mut(V::LANES).zip(tile.odds.chunks_exact_mut(V::LANES));
+    for (at, (alpha, odds)) in vectors::<V>(mask).zip(places) {
+        let a = s.alpha::<CLAMP>(at);
+        a.store_slice(alpha);
+        (a / (V::splat(1.0) - a)).store_slice(odds);
     }
     let mut color = [V::zero(); 3];
     let mut moment = [V::zero(); 6];
-    for (block, [alpha, odds]) in blocks(mask).zip(&tile.alpha) {
-        let state = &mut tile.blocks[block];
-        let alpha = V::load(alpha);
-        let t = V::load(&state.transmittance);
+    let places = tile.alpha.chunks_exact(V::LANES).zip(tile.odds.chunks_exact(V::LANES));
+    for (at, (alpha, odds)) in vectors::<V>(mask).zip(places) {
+        let alpha = V::load_slice(alpha);
+        let t = V::load_slice(&tile.transmittance[at..]);
         let w = alpha * t;
-        (t - w).store(&mut state.transmittance);
+        (t - w).store_slice(&mut tile.transmittance[at..]);
 
-        let [red, green, blue] = &state.gradient;
-        let (red, green, blue) = (V::load(red), V::load(green), V::load(blue));
+        let [red, green, blue] = &tile.gradient;
+        let (red, green, blue) = (V::load_slice(&red[at..]), V::load_slice(&green[at..]), V::load_slice(&blue[at..]));
         color[0] = w.mul_add(red, color[0]);
         color[1] = w.mul_add(green, color[1]);
         color[2] = w.mul_add(blue, color[2]);
         let dot = s.color[2].mul_add(blue, s.color[1].mul_add(green, s.color[0] * red));
         let u = w * dot;
-        let remaining = V::load(&state.remaining) - u;
-        remaining.store(&mut state.remaining);
+        let remaining = V::load_slice(&tile.remaining[at..]) - u;
+        remaining.store_slice(&mut tile.remaining[at..]);
 
         // Where nothing is drawn, u and the odds are zero, and so is this.
-        let g = u - remaining * V::load(odds);
-        let g = if CLAMP { g.and(V::splat(ALPHA_MAX).gt(alpha)) } else { g };
-        let (dx, dy) = s.offset(block);
+        let g = u - remaining * V::load_slice(odds);
+        let g = if CLAMP { g - g.where_ge(alpha, V::splat(ALPHA_MAX)) } else { g };
+        let (dx, dy) = s.offset(at);
         let (gx, gy) = (g * dx, g * dy);
         moment[0] = moment[0] + g;
         moment[1] = moment[1] + gx;

@@ -1,21 +1,11 @@
-//! The lanes on x86-64: AVX2 and FMA, with AVX-512's registers where there are.
+//! The lanes on x86-64: eight with AVX2 and FMA, sixteen with AVX-512.
 
 use std::arch::x86_64::*;
 use std::ops::{Add, Div, Mul, Sub};
-use std::sync::LazyLock;
 
-use super::{F32x8, HALF_ROOT, Kernel};
+use super::{F32x8, Floats, HALF_ROOT, Kernel, WideKernel};
 
-/// Whether [`run_avx512`] may be called.
-pub(super) static HAS_AVX512: LazyLock<bool> = LazyLock::new(|| {
-    is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512vl")
-        && is_x86_feature_detected!("avx512bw")
-        && is_x86_feature_detected!("avx512dq")
-});
-
-/// The same instructions on the same eight lanes, hence the same bits, but with 32 registers
-/// instead of 16.
+/// The same instructions on the same eight lanes as [`run`], but with 32 registers instead of 16.
 ///
 /// # Safety
 /// The machine has AVX2, FMA and the named parts of AVX-512.
@@ -31,21 +21,45 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Avx2>()
 }
 
-/// Private to this module: a value can only come into being inside a kernel that `run`
-/// started, which is why each `unsafe` block below may rely on AVX2 and FMA.
+/// # Safety
+/// The machine has AVX2, FMA and the named parts of AVX-512.
+#[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512bw,avx512dq")]
+pub(super) unsafe fn run_wide_avx512<K: WideKernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx512>()
+}
+
+/// # Safety
+/// The machine has AVX2 and FMA.
+#[target_feature(enable = "avx2,fma")]
+pub(super) unsafe fn run_wide<K: WideKernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx2>()
+}
+
+#[inline(always)]
+pub(super) fn prefetch<T>(value: &T) {
+    // SAFETY: every x86-64 processor has the instruction, and it changes no state but the caches'.
+    unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
+}
+
+/// Private to this module: a value can only come into being inside a kernel that one of the
+/// functions above started, which is why each `unsafe` block below may rely on AVX2 and FMA.
 #[derive(Clone, Copy)]
 struct Avx2(__m256);
 
+/// The same for AVX-512: only [`run_wide_avx512`] makes one.
+#[derive(Clone, Copy)]
+struct Avx512(__m512);
+
 macro_rules! intrinsic {
     ($e:expr) => {
-        // SAFETY: AVX2 and FMA are present, see `Avx2`.
+        // SAFETY: the instructions are present, see `Avx2` and `Avx512`.
         unsafe { $e }
     };
 }
 
 macro_rules! operator {
-    ($trait:ident, $method:ident, $intrinsic:ident) => {
-        impl $trait for Avx2 {
+    ($type:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
+        impl $trait for $type {
             type Output = Self;
             #[inline(always)]
             fn $method(self, o: Self) -> Self {
@@ -54,16 +68,63 @@ macro_rules! operator {
         }
     };
 }
-operator!(Add, add, _mm256_add_ps);
-operator!(Sub, sub, _mm256_sub_ps);
-operator!(Mul, mul, _mm256_mul_ps);
-operator!(Div, div, _mm256_div_ps);
+operator!(Avx2, Add, add, _mm256_add_ps);
+operator!(Avx2, Sub, sub, _mm256_sub_ps);
+operator!(Avx2, Mul, mul, _mm256_mul_ps);
+operator!(Avx2, Div, div, _mm256_div_ps);
+operator!(Avx512, Add, add, _mm512_add_ps);
+operator!(Avx512, Sub, sub, _mm512_sub_ps);
+operator!(Avx512, Mul, mul, _mm512_mul_ps);
+operator!(Avx512, Div, div, _mm512_div_ps);
 
-impl F32x8 for Avx2 {
+impl Floats for Avx2 {
+    const LANES: usize = 8;
+
     #[inline(always)]
     fn splat(v: f32) -> Self {
         Self(intrinsic!(_mm256_set1_ps(v)))
     }
+    #[inline(always)]
+    fn load_slice(v: &[f32]) -> Self {
+        Self::load(v.first_chunk().expect("at least eight values"))
+    }
+    #[inline(always)]
+    fn store_slice(self, to: &mut [f32]) {
+        self.store(to.first_chunk_mut().expect("at least eight places"));
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        Self(intrinsic!(_mm256_fmadd_ps(self.0, a.0, b.0)))
+    }
+    #[inline(always)]
+    fn min(self, o: Self) -> Self {
+        Self(intrinsic!(_mm256_min_ps(self.0, o.0)))
+    }
+    #[inline(always)]
+    fn where_ge(self, a: Self, b: Self) -> Self {
+        self.and(a.ge(b))
+    }
+    #[inline(always)]
+    fn any_ge(self, o: Self) -> bool {
+        intrinsic!(_mm256_movemask_ps(self.ge(o).0)) != 0
+    }
+    #[inline(always)]
+    fn add_exponent(self, t: Self) -> Self {
+        let n = intrinsic!(_mm256_slli_epi32::<23>(_mm256_castps_si256(t.0)));
+        Self(intrinsic!(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), n))))
+    }
+    #[inline(always)]
+    fn sums(v: [Self; 8]) -> [f32; 8] {
+        let add = |a: __m256, b: __m256| intrinsic!(_mm256_hadd_ps(a, b));
+        let a = add(add(v[0].0, v[1].0), add(v[2].0, v[3].0));
+        let b = add(add(v[4].0, v[5].0), add(v[6].0, v[7].0));
+        let lows = intrinsic!(_mm256_permute2f128_ps::<0x20>(a, b));
+        let highs = intrinsic!(_mm256_permute2f128_ps::<0x31>(a, b));
+        (Self(lows) + Self(highs)).to_array()
+    }
+}
+
+impl F32x8 for Avx2 {
     #[inline(always)]
     fn load(v: &[f32; 8]) -> Self {
         // The pointer is valid for eight unaligned reads: it comes from an array.
@@ -77,14 +138,6 @@ impl F32x8 for Avx2 {
     #[inline(always)]
     fn store(self, to: &mut [f32; 8]) {
         intrinsic!(_mm256_storeu_ps(to.as_mut_ptr(), self.0))
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        Self(intrinsic!(_mm256_fmadd_ps(self.0, a.0, b.0)))
-    }
-    #[inline(always)]
-    fn min(self, o: Self) -> Self {
-        Self(intrinsic!(_mm256_min_ps(self.0, o.0)))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
@@ -111,28 +164,60 @@ impl F32x8 for Avx2 {
         Self(intrinsic!(_mm256_blendv_ps(other.0, self.0, mask.0)))
     }
     #[inline(always)]
-    fn bits(self) -> u32 {
-        intrinsic!(_mm256_movemask_ps(self.0)) as u32
-    }
-    #[inline(always)]
-    fn add_exponent(self, t: Self) -> Self {
-        let n = intrinsic!(_mm256_slli_epi32::<23>(_mm256_castps_si256(t.0)));
-        Self(intrinsic!(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(self.0), n))))
-    }
-    #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {
         let bits = intrinsic!(_mm256_castps_si256(self.0));
         let e = intrinsic!(_mm256_srai_epi32::<23>(_mm256_sub_epi32(bits, _mm256_set1_epi32(HALF_ROOT))));
         let m = intrinsic!(_mm256_castsi256_ps(_mm256_sub_epi32(bits, _mm256_slli_epi32::<23>(e))));
         (Self(intrinsic!(_mm256_cvtepi32_ps(e))), Self(m))
     }
+}
+
+impl Floats for Avx512 {
+    const LANES: usize = 16;
+
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        Self(intrinsic!(_mm512_set1_ps(v)))
+    }
+    #[inline(always)]
+    fn load_slice(v: &[f32]) -> Self {
+        let v: &[f32; 16] = v.first_chunk().expect("at least sixteen values");
+        // The pointer is valid for sixteen unaligned reads: it comes from an array.
+        Self(intrinsic!(_mm512_loadu_ps(v.as_ptr())))
+    }
+    #[inline(always)]
+    fn store_slice(self, to: &mut [f32]) {
+        let to: &mut [f32; 16] = to.first_chunk_mut().expect("at least sixteen places");
+        intrinsic!(_mm512_storeu_ps(to.as_mut_ptr(), self.0))
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        Self(intrinsic!(_mm512_fmadd_ps(self.0, a.0, b.0)))
+    }
+    #[inline(always)]
+    fn min(self, o: Self) -> Self {
+        Self(intrinsic!(_mm512_min_ps(self.0, o.0)))
+    }
+    #[inline(always)]
+    fn where_ge(self, a: Self, b: Self) -> Self {
+        Self(intrinsic!(_mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(a.0, b.0), self.0)))
+    }
+    #[inline(always)]
+    fn any_ge(self, o: Self) -> bool {
+        intrinsic!(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(self.0, o.0)) != 0
+    }
+    #[inline(always)]
+    fn add_exponent(self, t: Self) -> Self {
+        let n = intrinsic!(_mm512_slli_epi32::<23>(_mm512_castps_si512(t.0)));
+        Self(intrinsic!(_mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(self.0), n))))
+    }
     #[inline(always)]
     fn sums(v: [Self; 8]) -> [f32; 8] {
-        let add = |a: __m256, b: __m256| intrinsic!(_mm256_hadd_ps(a, b));
-        let a = add(add(v[0].0, v[1].0), add(v[2].0, v[3].0));
-        let b = add(add(v[4].0, v[5].0), add(v[6].0, v[7].0));
-        let lows = intrinsic!(_mm256_permute2f128_ps::<0x20>(a, b));
-        let highs = intrinsic!(_mm256_permute2f128_ps::<0x31>(a, b));
-        (Self(lows) + Self(highs)).to_array()
+        let mut halves = [Avx2::zero(); 8];
+        for (half, v) in halves.iter_mut().zip(v) {
+            let low = intrinsic!(_mm512_castps512_ps256(v.0));
+            *half = Avx2(low) + Avx2(intrinsic!(_mm512_extractf32x8_ps::<1>(v.0)));
+        }
+        Avx2::sums(halves)
     }
 }
