@@ -75,6 +75,8 @@ pub(crate) trait F32x8: Floats {
     fn and(self, o: Self) -> Self;
     /// `self` where the mask is set, else `other`.
     fn select(self, mask: Self, other: Self) -> Self;
+    /// Rounded towards zero, for lanes within ±2³¹.
+    fn truncate(self) -> [i32; 8];
     /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
     fn split_exponent(self) -> (Self, Self);
 
@@ -271,6 +273,10 @@ impl F32x8 for Portable {
     #[inline(always)]
     fn select(self, mask: Self, other: Self) -> Self {
         Self(from_fn(|i| if mask.0[i].to_bits() != 0 { self.0[i] } else { other.0[i] }))
+    }
+    #[inline(always)]
+    fn truncate(self) -> [i32; 8] {
+        self.0.map(|v| v as i32)
     }
     #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {

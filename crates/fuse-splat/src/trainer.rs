@@ -305,7 +305,7 @@ impl Trainer {
         let loss = self.pipeline.backward(view, target, self.config.lambda_dssim);
 
         let mut clock = Instant::now();
-        let step = Step::new(&rates, self.iteration);
+        let step = Step::new(&rates, self.iteration, degree);
         let Patient { parameters, moments, density } = &mut self.patient;
         let gathered = self.pipeline.gathered(view, degree);
         project_backward::step(self.level, gathered, &step, parameters, moments, density);

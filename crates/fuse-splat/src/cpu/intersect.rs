@@ -12,11 +12,13 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_HEIGHT, TILE_WIDTH};
-use crate::simd::{F32x8, Kernel, dispatch};
+use crate::simd::{F32x8, Kernel, dispatch, prefetch};
 use crate::stages::{Entry, Pairs, Splat, View};
 
 /// Gaussians of one task.
 pub(crate) const CHUNK: usize = 512;
+/// Gaussians by which memory is asked for ahead of its use.
+const AHEAD: usize = 8;
 /// Pixels by which spans are widened against rounding; the rasteriser tests each pixel anyway.
 const SLACK: f32 = 1e-2;
 /// Rows of blocks in a tile.
@@ -62,7 +64,12 @@ fn scatter(tiles: usize, order: &[u32], chunks: &mut [Chunk], pairs: &mut Pairs)
     pairs.offsets.clone_from(&cursor);
     pairs.gaussian.resize(sum as usize, 0);
     pairs.mask.resize(sum as usize, 0);
-    for &g in order {
+    for (k, &g) in order.iter().enumerate() {
+        // In order of depth, one Gaussian's entries lie anywhere.
+        if let Some(&soon) = order.get(k + AHEAD) {
+            let Chunk { entries, starts } = &chunks[soon as usize / CHUNK];
+            prefetch(entries, starts[soon as usize % CHUNK] as usize);
+        }
         let Chunk { entries, starts } = &mut chunks[g as usize / CHUNK];
         let local = g as usize % CHUNK;
         for entry in &mut entries[starts[local] as usize..starts[local + 1] as usize] {
@@ -145,25 +152,21 @@ fn block_spans<V: F32x8>(splat: &Splat, top: f32, columns: f32) -> ([i32; BLOCK_
     // truncation of low + ½ (nearly: the slack covers the rest), the last at or before `high` is
     // floor(high − ½).
     let scale = s(1.0 / BLOCK_WIDTH as f32);
-    let low = ((low + s(0.499)) * scale).max(V::zero()).min(s(columns)).to_array();
-    let high = ((high + s(BLOCK_WIDTH as f32 - 0.5)) * scale).max(V::zero()).min(s(columns)).to_array();
-    let mut out = ([0; BLOCK_ROWS], [0; BLOCK_ROWS]);
-    for i in 0..BLOCK_ROWS {
-        out.0[i] = low[i] as i32;
-        out.1[i] = high[i] as i32;
-    }
-    out
+    let low = ((low + s(0.499)) * scale).max(V::zero()).min(s(columns));
+    let high = ((high + s(BLOCK_WIDTH as f32 - 0.5)) * scale).max(V::zero()).min(s(columns));
+    (low.truncate(), high.truncate())
 }
 
 /// The blocks `low[r]..high[r]` of each row of the tile whose first column of blocks is `first`.
 #[inline(always)]
 fn tile_mask(low: &[i32; BLOCK_ROWS], high: &[i32; BLOCK_ROWS], first: i32) -> u64 {
-    let mut mask = 0u64;
+    let mut mask = 0;
     for r in 0..BLOCK_ROWS {
-        let from = (low[r] - first).clamp(0, BLOCK_COLUMNS) as u32;
-        let to = (high[r] - first).clamp(0, BLOCK_COLUMNS) as u32;
-        let below = |n: u32| (1u64 << n) - 1;
-        mask |= (below(to) & !below(from)) << (r * BLOCK_COLUMNS as usize);
+        let from = (low[r] - first).clamp(0, BLOCK_COLUMNS);
+        let to = (high[r] - first).clamp(0, BLOCK_COLUMNS);
+        // Ones from bit `from` to below bit `to`; negative where there are none.
+        let row = ((1 << to) - (1 << from)).max(0);
+        mask |= (row as u64) << (r * BLOCK_COLUMNS as usize);
     }
     mask
 }

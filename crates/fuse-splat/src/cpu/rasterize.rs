@@ -33,9 +33,9 @@ const LOOK: usize = 8;
 pub(crate) struct Image {
     /// Red, green, blue.
     pub color: Planes,
-    /// What each pixel lets through.
+    /// What each pixel lets through; like the depth only filled on request, training needs neither.
     pub transmittance: Vec<f32>,
-    /// Σ wᵢ zᵢ, metres; only filled on request.
+    /// Σ wᵢ zᵢ, metres.
     pub depth: Vec<f32>,
 }
 
@@ -51,8 +51,9 @@ pub(crate) fn rasterize(
 ) {
     let n = view.pixels();
     image.color.resize(3 * n, 0.0);
-    image.transmittance.resize(n, 0.0);
-    image.depth.resize(if with_depth { n } else { 0 }, 0.0);
+    for plane in [&mut image.transmittance, &mut image.depth] {
+        plane.resize(if with_depth { n } else { 0 }, 0.0);
+    }
     bands(view, background, splats, pairs, image).into_par_iter().for_each(|band| dispatch_wide(level, band));
 }
 
@@ -66,8 +67,8 @@ struct Band<'a> {
     gaussian: &'a [u32],
     mask: &'a mut [u64],
     color: [&'a mut [f32]; 3],
-    transmittance: &'a mut [f32],
-    depth: Option<&'a mut [f32]>,
+    /// Transmittance and depth.
+    extra: Option<[&'a mut [f32]; 2]>,
 }
 
 fn bands<'a>(
@@ -92,7 +93,7 @@ fn bands<'a>(
         let (first, last) = (offsets[0] as usize, offsets[tiles] as usize);
         let (own, rest) = mask.split_at_mut(last - first);
         mask = rest;
-        if let (Some(r), Some(g), Some(b), Some(t)) = (red.next(), green.next(), blue.next(), transmittance.next()) {
+        if let (Some(r), Some(g), Some(b)) = (red.next(), green.next(), blue.next()) {
             out.push(Band {
                 view,
                 background,
@@ -102,8 +103,7 @@ fn bands<'a>(
                 gaussian: &pairs.gaussian[first..last],
                 mask: own,
                 color: [r, g, b],
-                transmittance: t,
-                depth: depth.next(),
+                extra: transmittance.next().zip(depth.next()).map(|(t, d)| [t, d]),
             });
         }
     }
@@ -145,7 +145,7 @@ impl WideKernel for Band<'_> {
             let origin = [(column * TILE_WIDTH) as f32, (self.row * TILE_HEIGHT) as f32];
             let mut tile = Tile::EMPTY;
             let (gaussian, mask) = (&self.gaussian[range.clone()], &mut self.mask[range]);
-            if self.depth.is_some() {
+            if self.extra.is_some() {
                 draw_tile::<V, true>(origin, self.splats, gaussian, mask, &mut tile);
             } else {
                 draw_tile::<V, false>(origin, self.splats, gaussian, mask, &mut tile);
@@ -311,7 +311,7 @@ impl Band<'_> {
     #[inline(always)]
     fn store<V: Floats>(&mut self, column: usize, tile: &mut Tile) {
         let width = self.view.width;
-        let rows = self.transmittance.len() / width;
+        let rows = self.color[0].len() / width;
         for (plane, background) in tile.color.iter_mut().zip(self.background) {
             let vectors = plane.chunks_exact_mut(V::LANES).zip(tile.transmittance.chunks_exact(V::LANES));
             for (color, t) in vectors {
@@ -330,11 +330,11 @@ impl Band<'_> {
                     copy_line(line, &mut plane[y * width + x..(y + 1) * width]);
                 }
             };
-            put(&tile.transmittance, self.transmittance);
             for (from, plane) in tile.color.iter().zip(&mut self.color) {
                 put(from, plane);
             }
-            if let Some(depth) = &mut self.depth {
+            if let Some([transmittance, depth]) = &mut self.extra {
+                put(&tile.transmittance, transmittance);
                 put(&tile.depth, depth);
             }
         }

@@ -104,7 +104,7 @@ pub fn iteration(
     patient.moments = past(&gaussians.table);
     let Patient { parameters, moments, density } = &mut patient;
     let gathered = cpu.gathered(&view, MAX_DEGREE);
-    project_backward::step(level, gathered, &Step::new(rates, STEP), parameters, moments, density);
+    project_backward::step(level, gathered, &Step::new(rates, STEP, MAX_DEGREE), parameters, moments, density);
     let cpu_splats: Vec<_> = cpu.splats.iter().map(numbers).collect();
     let cpu_tiles = tiles_of_cpu(&cpu, &view);
 

@@ -164,6 +164,13 @@ impl F32x8 for Avx2 {
         Self(intrinsic!(_mm256_blendv_ps(other.0, self.0, mask.0)))
     }
     #[inline(always)]
+    fn truncate(self) -> [i32; 8] {
+        let mut out = [0; 8];
+        // The pointer is valid for eight unaligned writes: it comes from an array.
+        intrinsic!(_mm256_storeu_si256(out.as_mut_ptr().cast(), _mm256_cvttps_epi32(self.0)));
+        out
+    }
+    #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {
         let bits = intrinsic!(_mm256_castps_si256(self.0));
         let e = intrinsic!(_mm256_srai_epi32::<23>(_mm256_sub_epi32(bits, _mm256_set1_epi32(HALF_ROOT))));
