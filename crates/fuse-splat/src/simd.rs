@@ -306,7 +306,7 @@ mod tests {
 
     #[test]
     fn elementary_functions_agree_with_std_at_every_level() {
-        for level in [Level::Portable, fuse_camera::simd::best()] {
+        for level in [Level::Portable, Level::Avx2Fma, fuse_camera::simd::best()] {
             for k in 0..4000 {
                 let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
                 let (exp, log, sums) = dispatch(level, Elementary(&x));
@@ -318,6 +318,45 @@ mod tests {
                     assert!((f64::from(log[i]) - l).abs() < 4e-7 * l.abs().max(1.0), "log2 {} = {}", x[i], log[i]);
                     assert!((f64::from(sums[i]) - total * i as f64).abs() <= 1e-5 * (1.0 + total.abs() * i as f64));
                 }
+            }
+        }
+    }
+
+    struct Wide<'a>(&'a [f32; 16]);
+    impl WideKernel for Wide<'_> {
+        /// 2^x, x where x ≥ ¼, the places in which a lane alone is found to be ≥ ¼, and sums.
+        type Output = ([f32; 16], [f32; 16], [bool; 16], [f32; 8]);
+        #[inline(always)]
+        fn run<V: Floats>(self) -> Self::Output {
+            let (mut power, mut kept, mut found, mut total) = ([0.0; 16], [0.0; 16], [false; 16], [0.0; 8]);
+            let limit = V::splat(0.25);
+            for at in (0..16).step_by(V::LANES) {
+                let v = V::load_slice(&self.0[at..]);
+                v.exp2().store_slice(&mut power[at..]);
+                v.where_ge(v, limit).store_slice(&mut kept[at..]);
+                let sums = V::sums(from_fn(|i| v * V::splat(i as f32)));
+                total.iter_mut().zip(sums).for_each(|(t, s)| *t += s);
+            }
+            for lane in 0..16 {
+                let alone: [f32; 16] = from_fn(|i| if i == lane { self.0[i] } else { f32::NAN });
+                found[lane] = (0..16).step_by(V::LANES).any(|at| V::load_slice(&alone[at..]).any_ge(limit));
+            }
+            (power, kept, found, total)
+        }
+    }
+
+    #[test]
+    fn sixteen_lanes_do_what_eight_do() {
+        for k in 0..400 {
+            let x: [f32; 16] = from_fn(|i| ((k * 16 + i) as f32 * 0.37).sin() * 20.0 + if i == 3 { 0.25 } else { 0.0 });
+            let [narrow, wide] =
+                [Level::Avx2Fma, fuse_camera::simd::best()].map(|level| dispatch_wide(level, Wide(&x)));
+            assert_eq!(narrow.0, wide.0);
+            assert_eq!((narrow.1, narrow.2), (wide.1, wide.2));
+            assert_eq!(wide.2, x.map(|v| v >= 0.25));
+            let total: f32 = x.iter().sum();
+            for i in 0..8 {
+                assert!((wide.3[i] - total * i as f32).abs() < 1e-3, "{i}");
             }
         }
     }

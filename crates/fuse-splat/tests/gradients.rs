@@ -51,7 +51,7 @@ fn every_parameter_group_agrees_with_finite_differences() {
             numeric[i][row] = (side(&mut moved, STEP) - side(&mut moved, -STEP)) / (2.0 * STEP);
         }
     }
-    for level in [Level::Portable, best()] {
+    for level in [Level::Portable, Level::Avx2Fma, best()] {
         let (fast, table) = loss_gradient(level, &gaussians, &camera, &image, 3, LAMBDA as f32).unwrap();
         assert!((fast - loss(&vectors)).abs() < 1e-5, "loss {fast} against {}", loss(&vectors));
         for (name, rows) in GROUPS {

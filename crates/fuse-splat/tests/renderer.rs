@@ -20,7 +20,7 @@ fn fast_and_reference_agree_on_all_but_one_pixel_in_a_thousand() {
     for (width, height, angle) in [(161, 119, 0.0), (96, 64, 2.0)] {
         let camera = scene::camera(width, height, angle);
         let slow = reference::render(&vectors(&gaussians), &camera, 3, background.map(f64::from));
-        for level in [Level::Portable, best()] {
+        for level in [Level::Portable, Level::Avx2Fma, best()] {
             let fast = render_at(level, &gaussians, &camera, background).unwrap();
             let n = slow.color.len();
             let far = |error: f64| error > 1.0 / 255.0;
