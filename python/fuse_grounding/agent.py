@@ -133,8 +133,6 @@ class Session:
         self.returned: Glance | None = None
         self.grounded: Grounded | None = None
         self.record = ledger.open_record(config, parts, self.query, self.hypotheses)
-        for sentence in parts.announcements:
-            self.announce(sentence)
         if self.policy.planner == "none":
             self.announce("no amortised planner is loaded: every decision is explicit")
         for watcher in watchers:

@@ -131,7 +131,7 @@ def test_training_on_the_gpu_learns_and_stops_at_ctrl_c(gpu: str) -> None:
     assert trainer.refine(1).total_iterations == trainer.iteration
 
 
-def test_what_maps_are_trained_on_is_announced_and_recorded(gpu: str, tmp_path: Path) -> None:
+def test_what_maps_are_trained_on_is_announced_and_recorded(gpu: str) -> None:
     auto = splat.device_name("auto")
     fallback = "no real GPU was found, " if auto == CPU else ""
     for wish, taken, why in (("cpu", CPU, ""), ("gpu", gpu, ""), ("auto", auto, fallback)):
@@ -140,6 +140,8 @@ def test_what_maps_are_trained_on_is_announced_and_recorded(gpu: str, tmp_path: 
         assert agent.provenance["device"] == taken
         sentences = [] if wish == "cpu" else [f"map.device {wish}: {why}the map is trained on {taken}"]
         assert mapping.check(config.map) == sentences
+        told = agent.start("cut a piece of rope").record.announcements
+        assert [t for t in told if t.startswith("map.device")] == sentences
     with pytest.raises(InputError, match=r"`map\.device`: found 'cuda', expected"):
         Config().with_(map={"device": "cuda"})
 
