@@ -18,11 +18,12 @@ cd "$work"
 import numpy as np
 
 import fuse_grounding as fuse
-from fuse_grounding import evidence
+from fuse_grounding import evidence, splat
 from fuse_grounding.environment import TabletopEnvironment, make_episode
 
 flat = np.zeros((480, 640, 3), np.uint8)
 assert np.allclose(evidence.geometric_uncertainty(flat, flat), 0.4), "a flat pair is worth 0 dB"
+print(f"maps are trained on {splat.device_name('auto')}")  # with a GPU's driver and without
 episode = make_episode("cut", seed=7)
 result = fuse.Agent(fuse.Config(method="static")).run(TabletopEnvironment(episode), "cut a piece of rope")
 assert result.record.steps, "the wheel runs an episode"

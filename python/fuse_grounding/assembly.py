@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from fuse_grounding import knowledge, mapping
+from fuse_grounding import knowledge, mapping, splat
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
 from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
@@ -46,8 +46,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     make_segmenter = SEGMENTERS.get(config.segmenter.name)
     # What cannot run says so before anything is loaded.
     method.policy(config, 0)
-    if method.maps:
-        mapping.check(config.map)
+    announcements = mapping.check(config.map) if method.maps else []
     segmenter, weights = make_segmenter(config.segmenter)
 
     def spatial() -> Spatial | None:
@@ -64,7 +63,10 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         spatial=spatial,
         look=lambda situation, rendered: evidence_maps(situation, rendered, config),
         provenance=provenance(
-            segmenter=weights, **({} if config.gate.planner is None else {"planner": config.gate.planner})
+            splat.device_name(config.map.device),
+            segmenter=weights,
+            **({} if config.gate.planner is None else {"planner": config.gate.planner}),
         ),
+        announcements=announcements,
     )
     return parts, config

@@ -145,6 +145,8 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
 
     schedule: Literal["fast", "official"] = "fast"
     """`official`: trainer's settings that are not given are those of `splat.TrainerConfig.official`. Ours."""
+    device: Literal["cpu", "gpu", "auto"] = "cpu"
+    """As `splat.Trainer`'s: what was taken is in the record. The CPU gives everybody the same map. Ours."""
     fine_iterations: int | None = Field(default=160, ge=0)
     """As there; what 160 saves and what it costs is measured in docs/performance.md. Ours."""
     initial_iterations: Count = 1000

@@ -9,7 +9,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuse_grounding import _core
+from fuse_grounding import _core, splat
+from fuse_grounding.errors import FuseError
 
 PACKAGE = Path(__file__).parent
 
@@ -53,6 +54,16 @@ def _disk() -> Check:
     return Check("free disk", free >= 1, f"{free:.1f} GiB here", "a run folder takes a few MB")
 
 
+def _gpu() -> Check:
+    """A GPU is never needed: without one, the line says what was found and why it is not taken."""
+    try:
+        return Check(
+            "gpu", True, f"`auto` takes {splat.device_name()}; `gpu` takes {splat.device_name('gpu')}"
+        )
+    except FuseError as error:
+        return Check("gpu", True, f"{error}; maps are trained on {splat.device_name('cpu')}")
+
+
 def examine() -> list[Check]:
     """All checks, in the order of the report."""
     level = _core.simd_level
@@ -60,6 +71,7 @@ def examine() -> list[Check]:
         Check("fuse-grounding", True, _core.__version__),
         Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
         Check("processors", True, f"{os.cpu_count()} threads, SIMD level {level}"),
+        _gpu(),
         _memory(),
         _disk(),
         *(_package(n) for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic")),

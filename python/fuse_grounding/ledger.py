@@ -37,7 +37,7 @@ def open_record(config: Config, parts: Parts, query: Query, hypotheses: Hypothes
         candidates=[
             CandidateEntry(label=c.label, score=c.score, reason=c.reason) for c in hypotheses.candidates
         ],
-        announcements=list(hypotheses.announcements),
+        announcements=[*hypotheses.announcements, *parts.announcements],
         config=config.to_dict(),
         provenance=parts.provenance,
     )

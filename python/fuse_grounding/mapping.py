@@ -26,9 +26,17 @@ class PointRegistrar(Registrar, Protocol):
         ...
 
 
-def check(config: MapConfig) -> None:
-    """Raises InputError for what only the native trainer refuses: its numbers are narrower than Python's."""
-    splat.Trainer(splat.Gaussians.from_points(np.zeros((1, 3)), np.zeros((1, 3))), config)
+def check(config: MapConfig) -> list[str]:
+    """What a reader of the record must know of the device that `config` takes.
+
+    Raises InputError for what only the native trainer refuses: its numbers are narrower than Python's.
+    """
+    one = splat.Gaussians.from_points(np.zeros((1, 3)), np.zeros((1, 3)))
+    taken = splat.Trainer(one, config, config.device).device
+    if config.device == "cpu":
+        return []
+    why = "no real GPU was found, " if taken.startswith("cpu") else ""
+    return [f"map.device {config.device}: {why}the map is trained on {taken}"]
 
 
 class GaussianMap:
@@ -77,7 +85,7 @@ class GaussianMap:
         """The map's prediction; see `SpatialMap.render`."""
         if self._trainer is None:
             return None
-        image, alpha, _ = splat.render(self._trainer.gaussians, camera)
+        image, alpha, _ = splat.render(self._trainer.gaussians, camera, device=self._config.device)
         return Rendering(image, float(alpha.mean(dtype=np.float64)))
 
     def entry(self) -> MapEntry | None:
@@ -97,7 +105,9 @@ class GaussianMap:
         ids, points, colours = self._registrar.points_by_id()
         if len(points) < MIN_POINTS:
             return None
-        trainer = splat.Trainer(splat.Gaussians.from_points(points, colours), self._config)
+        trainer = splat.Trainer(
+            splat.Gaussians.from_points(points, colours), self._config, self._config.device
+        )
         self._known = set(ids.tolist())
         self._take(trainer, cameras)
         trainer.refine(self._config.initial_iterations)

@@ -64,6 +64,8 @@ class Parts:
     spatial: Callable[[], Spatial | None]
     look: Callable[[Situation, Rendering | None], EvidenceMaps]
     provenance: dict[str, Any]
+    announcements: Sequence[str] = ()
+    """What the record announces of every episode."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""3D Gaussian splatting on the CPU: the official model and training, resumed while views arrive.
+"""3D Gaussian splatting on CPU or GPU: the official model and training, resumed while views arrive.
 
 ```python
 trainer = splat.Trainer(splat.Gaussians.from_points(xyz, rgb), splat.TrainerConfig())
@@ -7,8 +7,12 @@ trainer.refine(1000)
 image, alpha, depth = splat.render(trainer.gaussians, camera)
 ```
 
-World: right-handed, z up, metres. The same seed and the same calls give the same bits, for any
-number of threads. Whatever the caller can put right raises `InputError`.
+World: right-handed, z up, metres. Whatever the caller can put right raises `InputError`.
+
+`device` is `cpu`, `gpu`, or `auto`: a real GPU if there is one, else the CPU. A GPU that the CPU
+emulates is refused, unless the environment variable FUSE_SOFTWARE_GPU is 1 (for tests), and never taken
+by `auto`. The same seed and the same calls give the same bits for any number of threads, at one SIMD
+level of one CPU backend, or on one GPU: `device_name` and `Trainer.device` say which.
 """
 
 from __future__ import annotations
@@ -33,6 +37,8 @@ __all__ = [
     "RefineStats",
     "Trainer",
     "TrainerConfig",
+    "checkpoint_note",
+    "device_name",
     "map_format",
     "psnr",
     "quality",
@@ -210,6 +216,14 @@ class Gaussians:
         return array
 
     @property
+    def blocks(self) -> NDArray[np.float32]:
+        """(ceil(N / 8), 59, 8) float32, read-only: the memory itself, without a copy.
+
+        Row `i` of `parameters` is `blocks[i // 8, :, i % 8]`; lanes past the end mean nothing.
+        """
+        return self._inner.blocks()
+
+    @property
     def positions(self) -> NDArray[np.float32]:
         """(N, 3) float32 metres, a read-only view of `parameters`."""
         return self.parameters[:, :3]
@@ -230,7 +244,7 @@ def render(
     """Image (H, W, 3) in [0, 1], alpha (H, W) in [0, 1], depth (H, W) metres; float32.
 
     Depth is the mean along the optical axis of what is drawn, 0 where nothing is. `background` is
-    RGB in [0, 1], default black.
+    RGB in [0, 1], default black. Raises FuseError if a GPU fails.
     """
     _check_device(device)
     instance_of("gaussians", gaussians, Gaussians)
@@ -238,7 +252,7 @@ def render(
     rgb = np.asarray((0.0, 0.0, 0.0) if background is None else background)
     if rgb.shape != (3,) or rgb.dtype.kind not in "fiu":
         raise InputError(f"background must be three numbers in [0, 1], found {background!r}")
-    return _core.render_gaussians(gaussians._inner, camera, tuple(rgb.tolist()))
+    return _core.render_gaussians(gaussians._inner, camera, tuple(rgb.tolist()), device)
 
 
 class Trainer:
@@ -253,7 +267,7 @@ class Trainer:
         instance_of("gaussians", gaussians, Gaussians)
         self.config = config if config is not None else TrainerConfig()
         instance_of("config", self.config, TrainerConfig)
-        self._inner = _core.SplatTrainer(gaussians._inner, asdict(self.config))
+        self._inner = _core.SplatTrainer(gaussians._inner, asdict(self.config), device)
 
     def add_view(self, image: NDArray[np.uint8], camera: Camera) -> int:
         """Adds an (H, W, 3) uint8 image with its camera; returns the view's index."""
@@ -290,6 +304,11 @@ class Trainer:
         InputError that says what differs, or that the file is damaged; the trainer is then unchanged.
         """
         return self._inner.load_checkpoint(os.fspath(path))
+
+    @property
+    def device(self) -> str:
+        """What it runs on, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`: what decides the last bits."""
+        return self._inner.device()
 
     @property
     def gaussians(self) -> Gaussians:
@@ -346,6 +365,20 @@ def _image(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
+def device_name(device: str = "auto") -> str:
+    """What `device` takes on this machine, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`.
+
+    Raises InputError for another wish than `cpu`, `gpu` and `auto`, and for `gpu` where there is none.
+    """
+    _check_device(device)
+    return _core.splat_device(device)
+
+
+def checkpoint_note(path: str | os.PathLike[str]) -> str:
+    """The note of a checkpoint, whoever wrote it. Raises InputError for a file that is none."""
+    return _core.checkpoint_note(os.fspath(path))
+
+
 def _check_device(device: str) -> None:
-    if device != "cpu":
-        raise InputError(f"device must be 'cpu', the one backend of this version, found {device!r}")
+    if not isinstance(device, str):
+        raise InputError(f"device must be `auto`, `cpu` or `gpu`, found {device!r}")

@@ -21,6 +21,7 @@ PROVENANCE: dict[str, Any] = {
     "sha256": {"segmenter": "5e" * 32},
     "packages": {"numpy": "2.0.0"},
     "simd_level": "avx2",
+    "device": "cpu (avx2)",
     "commit": "c0ffee",
 }
 EPISODES = [Episode('{"episode_id": "a", "seed": 1}'), Episode('{"episode_id": "b", "seed": 2}')]
@@ -87,6 +88,10 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
         (
             {"simd_level": "avx512"},
             r"at another SIMD level \(`simd_level` is 'avx2' .*\)",
+        ),
+        (
+            {"device": "gpu (NVIDIA L4, Vulkan)"},
+            r"on another device \(`device` is 'cpu \(avx2\)' there .*\)",
         ),
     ]
     for other, how in others:

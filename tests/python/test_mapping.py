@@ -128,11 +128,11 @@ def test_too_few_points_leave_the_map_away_and_do_not_fail():
     assert entry.views == 5
 
 
-def test_a_maps_settings_are_the_trainers_and_four_of_its_own():
+def test_a_maps_settings_are_the_trainers_and_five_of_its_own():
     # One set of defaults, but for the resolution: a refinement within an episode is short.
     assert asdict(MapConfig()) == asdict(splat.TrainerConfig(fine_iterations=160))
     ours = set(MapConfig.model_fields) - {f.name for f in fields(splat.TrainerConfig)}
-    assert ours == {"schedule", "initial_iterations", "incremental_iterations", "add_points"}
+    assert ours == {"schedule", "device", "initial_iterations", "incremental_iterations", "add_points"}
     official = Config.load(None, ["map.schedule=official", "map.max_gaussians=9"]).map
     assert asdict(official) == asdict(replace(splat.TrainerConfig.official(), max_gaussians=9))
     config = Config.load(None, ["map.degree=1", "map.seed=3", "map.extent=0.5", "map.background=[1, 1, 1]"])

@@ -20,7 +20,7 @@ from fuse_grounding.cli import splat as commands
 from fuse_grounding.cli.app import execute
 from fuse_grounding.reconstruction import cameras, training
 from fuse_grounding.reconstruction.dataset import Dataset
-from fuse_grounding.splat import Gaussians
+from fuse_grounding.splat import Gaussians, device_name
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +55,7 @@ def test_train_measure_draw_convert(capsys: pytest.CaptureFixture[str], data: Pa
     trained = json.loads(text)
     assert (trained["train_views"], trained["held_out_views"], trained["downscale"]) == (8, 2, 1)
     assert trained["gaussians"] == len(Gaussians.from_ply(out))
+    assert (trained["schedule"], trained["device"]) == ("fast", device_name("cpu"))
     assert not training.checkpoint_of(out).exists()
     picture = read(preview)
     assert picture.shape == (96, 256, 3)
@@ -152,6 +153,10 @@ def test_resumed_after_a_kill_it_ends_in_the_same_bits(
     assert status == 2
     assert "`seed: 4" in stderr_text
     assert "--resume needs the data and options of the first run" in stderr_text
+    official = ("--schedule", "official")
+    status, _, stderr_text = run(capsys, "train", data, "--out", cut, *OPTIONS, *official, "--resume")
+    assert status == 2
+    assert "written under --schedule fast, this training has --schedule official" in stderr_text
     status, _, stderr_text = run(capsys, "train", data, "--out", cut, *OPTIONS, "--resume")
     assert status == 0
     assert "continues after iteration" in stderr_text
@@ -175,6 +180,11 @@ def test_resumed_after_a_kill_it_ends_in_the_same_bits(
             "has no poses (sparse/0/cameras.bin or .txt, transforms.json)",
         ),
         (["train", "TMP/gone", "--out", "TMP/x.ply"], "and no photos (JPEG, PNG)"),
+        (["train", "DATA", "--out", "TMP/x.ply", "--schedule", "slow"], "schedule must be `fast` or"),
+        (
+            ["train", "DATA", "--out", "TMP/x.ply", "--device", "cuda"],
+            "device must be `auto`, `cpu` or `gpu`",
+        ),
         (["eval", "TMP/gone.ply", "DATA"], "gone.ply: No such file"),
         (["eval", "DATA", "DATA"], "a map is a .ply or .spz file"),
         (["render", "MAP", "--out", "TMP/x.png"], "one of --camera, --view and --orbit says where"),

@@ -2,12 +2,14 @@
 //! NumPy out: the Rust vector becomes the array's memory.
 
 use fuse_evidence::recycle;
-use numpy::ndarray::{Array2, Array3};
+use numpy::ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use numpy::{
-    Element, IntoPyArray, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
+    Element, IntoPyArray, PyArray, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
     PyUntypedArrayMethods,
 };
+use pyo3::PyClass;
 use pyo3::prelude::*;
+use pyo3::pyclass::boolean_struct::True;
 
 use crate::error::input;
 
@@ -113,11 +115,30 @@ impl Drop for Lent {
 pub fn lend_2d(py: Python<'_>, data: Vec<f32>, width: u32, height: u32) -> PyResult<Bound<'_, PyArray2<f32>>> {
     let data = Array2::from_shape_vec((height as usize, width as usize), data)
         .map_err(|e| input(format!("internal image size mismatch: {e}")))?;
-    let owner = Bound::new(py, Lent { data })?;
-    let data = &owner.get().data;
+    lend(&Bound::new(py, Lent { data })?)
+}
+
+/// A Python object whose numbers arrays may show.
+pub trait Lender: PyClass<Frozen = True> + Sync {
+    /// Number of axes.
+    type Axes: Dimension;
+    /// Its numbers; they never change.
+    fn numbers(&self) -> PyResult<ArrayView<'_, f32, Self::Axes>>;
+}
+
+impl Lender for Lent {
+    type Axes = Ix2;
+    fn numbers(&self) -> PyResult<ArrayView<'_, f32, Ix2>> {
+        Ok(self.data.view())
+    }
+}
+
+/// An array of memory that `owner` holds.
+pub fn lend<'py, L: Lender>(owner: &Bound<'py, L>) -> PyResult<Bound<'py, PyArray<f32, L::Axes>>> {
+    let view = owner.get().numbers()?;
     // SAFETY: the array keeps its owner alive, which is frozen: the memory neither moves nor is
     // reached in another way while the array lives.
-    Ok(unsafe { PyArray2::borrow_from_array(data, owner.clone().into_any()) })
+    Ok(unsafe { PyArray::borrow_from_array(&view, owner.clone().into_any()) })
 }
 
 /// A row-major `(height, width, channels)` vector as a NumPy array, without a copy.

@@ -4,11 +4,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use pyo3::prelude::*;
 
-use crate::error::input;
+use crate::error::raise;
 
-/// Runs `work` without the GIL; its error becomes an `InputError`, a panic a `FuseError`-less
+/// Runs `work` without the GIL; its error becomes an `InputError` (see [`raise`]), a panic a `FuseError`-less
 /// `RuntimeError` that asks for a report.
-pub fn enter<T: Send, E: std::fmt::Display + Send>(
+pub fn enter<T: Send, E: std::fmt::Display + Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, E> + Send,
 ) -> PyResult<T> {
@@ -23,6 +23,6 @@ pub fn enter<T: Send, E: std::fmt::Display + Send>(
                 "a bug in fuse's native code, please report it: {text}"
             )))
         },
-        |result| result.map_err(|e| input(e.to_string())),
+        |result| result.map_err(|e| raise(&e)),
     )
 }

@@ -3,6 +3,10 @@
 //! `FuseError(Exception)` is the root; `InputError(FuseError, ValueError)` is anything that the
 //! caller can put right: the command line turns it into exit status 2.
 
+use std::any::Any;
+use std::fmt::Display;
+
+use fuse_splat::SplatError;
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -39,8 +43,18 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// An `InputError` with this message.
 pub fn input(message: impl Into<String>) -> PyErr {
-    Python::attach(|py| match INPUT_ERROR.get(py) {
-        Some(t) => PyErr::from_type(t.bind(py).clone(), message.into()),
-        None => PyValueError::new_err(message.into()),
+    typed(&INPUT_ERROR, message.into())
+}
+
+/// An error as Python sees it: an `InputError`, or a `FuseError` where the machine failed.
+pub fn raise<E: Display + 'static>(error: &E) -> PyErr {
+    let failed = (error as &dyn Any).downcast_ref().is_some_and(SplatError::is_failure);
+    typed(if failed { &FUSE_ERROR } else { &INPUT_ERROR }, error.to_string())
+}
+
+fn typed(kind: &PyOnceLock<Py<PyType>>, message: String) -> PyErr {
+    Python::attach(|py| match kind.get(py) {
+        Some(t) => PyErr::from_type(t.bind(py).clone(), message),
+        None => PyValueError::new_err(message),
     })
 }

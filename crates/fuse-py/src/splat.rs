@@ -4,8 +4,12 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
 use fuse_camera::RgbBuffer;
-use fuse_splat::{RefineStats, SplatError, TrainerConfig};
-use numpy::{PyArray2, PyArray3, PyUntypedArrayMethods};
+use fuse_camera::gpu::Software;
+use fuse_splat::constants::PARAMETERS;
+use fuse_splat::gpu::Choice;
+use fuse_splat::{LANES, RefineStats, SplatError, TrainerConfig};
+use numpy::ndarray::{ArrayView3, Ix3};
+use numpy::{PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -19,6 +23,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Gaussians>()?;
     module.add_class::<SplatTrainer>()?;
     module.add_function(wrap_pyfunction!(render_gaussians, module)?)?;
+    module.add_function(wrap_pyfunction!(splat_device, module)?)?;
+    module.add_function(wrap_pyfunction!(checkpoint_note, module)?)?;
     module.add_function(wrap_pyfunction!(psnr, module)?)
 }
 
@@ -61,15 +67,45 @@ impl Gaussians {
     fn save_spz(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         enter(py, || self.inner.save_spz(&path))
     }
-    /// (N, 59) float32. One copy: they are stored in blocks of eight, one a SIMD lane.
+    /// (N, 59) float32, rearranged from [`Self::blocks`].
     fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let n = self.inner.len();
-        let rows = py.detach(|| (0..n).flat_map(|i| self.inner.vector(i)).collect());
-        array::into_2d(py, rows, fuse_splat::constants::PARAMETERS as u32, n as u32)
+        let rows = py.detach(|| {
+            let mut rows = Vec::with_capacity(PARAMETERS * n);
+            (0..n).for_each(|i| rows.extend(self.inner.vector(i)));
+            rows
+        });
+        array::into_2d(py, rows, PARAMETERS as u32, n as u32)
+    }
+    /// (blocks, 59, 8) float32: the memory itself, read-only.
+    fn blocks<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let blocks = array::lend(slf)?;
+        blocks.try_readwrite().map_err(|e| input(e.to_string()))?.make_nonwriteable();
+        Ok(blocks)
     }
     fn __len__(&self) -> usize {
         self.inner.len()
     }
+}
+
+impl array::Lender for Gaussians {
+    type Axes = Ix3;
+    fn numbers(&self) -> PyResult<ArrayView3<'_, f32>> {
+        let table = self.inner.table();
+        ArrayView3::from_shape((table.blocks().len(), PARAMETERS, LANES), table.numbers())
+            .map_err(|e| input(e.to_string()))
+    }
+}
+
+/// What `cpu`, `gpu` or `auto` takes on this machine.
+fn take(device: &str) -> Result<Choice, SplatError> {
+    Choice::take(device.parse()?, Software::from_env())
+}
+
+/// Its name.
+#[pyfunction]
+fn splat_device(py: Python<'_>, device: &str) -> PyResult<String> {
+    enter(py, || take(device).map(|choice| choice.to_string()))
 }
 
 type Rendered<'py> = (Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>);
@@ -81,11 +117,12 @@ fn render_gaussians<'py>(
     gaussians: &Gaussians,
     camera: &Camera,
     background: [f32; 3],
+    device: &str,
 ) -> PyResult<Rendered<'py>> {
     if !background.iter().all(|v| (0.0..=1.0).contains(v)) {
         return Err(input(format!("background must be three numbers in [0, 1], found {background:?}")));
     }
-    let r = enter(py, || fuse_splat::render(&gaussians.inner, &camera.inner, background))?;
+    let r = enter(py, || take(device)?.render(&gaussians.inner, &camera.inner, background))?;
     let (w, h) = (r.alpha.width(), r.alpha.height());
     Ok((
         array::into_3d(py, r.color.into_vec().into_flattened(), w, h, 3)?,
@@ -109,6 +146,12 @@ fn psnr(py: Python<'_>, a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> PyResult<
     enter(py, || fuse_splat::psnr(a, b))
 }
 
+/// The note of a checkpoint.
+#[pyfunction]
+fn checkpoint_note(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    enter(py, || fuse_splat::Trainer::checkpoint_note(&path))
+}
+
 /// Training that stops and resumes while views arrive.
 #[pyclass(frozen, module = "fuse_grounding")]
 pub struct SplatTrainer {
@@ -125,9 +168,9 @@ impl SplatTrainer {
 #[pymethods]
 impl SplatTrainer {
     #[new]
-    fn new(py: Python<'_>, gaussians: &Gaussians, config: &Bound<'_, PyDict>) -> PyResult<Self> {
+    fn new(py: Python<'_>, gaussians: &Gaussians, config: &Bound<'_, PyDict>, device: &str) -> PyResult<Self> {
         let config = trainer_config(config)?;
-        let trainer = enter(py, || fuse_splat::Trainer::new(gaussians.inner.clone(), config))?;
+        let trainer = enter(py, || take(device)?.trainer(gaussians.inner.clone(), config))?;
         Ok(Self { inner: Mutex::new(trainer) })
     }
     /// image (H, W, 3) uint8; returns the view's index.
@@ -174,6 +217,10 @@ impl SplatTrainer {
     /// Returns the note.
     fn load_checkpoint(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
         enter(py, || self.lock()?.load_checkpoint(&path))
+    }
+    /// What it runs on.
+    fn device(&self, py: Python<'_>) -> PyResult<String> {
+        enter(py, || self.lock().map(|t| t.runs_on()))
     }
     /// (iterations so far, views).
     fn progress(&self, py: Python<'_>) -> PyResult<(u32, usize)> {

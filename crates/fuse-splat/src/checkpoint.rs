@@ -36,7 +36,7 @@ struct Header {
     rng_word: String,
     /// All settings, in words: compared, never parsed.
     config: String,
-    /// SIMD level or GPU.
+    /// [`Trainer::runs_on`].
     level: String,
     /// One line a view: camera and checksum of its image.
     views: Vec<String>,
@@ -99,6 +99,16 @@ impl Trainer {
         self.queue = header.queue;
         self.densify_due = header.densify_due;
         self.reset_due = header.reset_due;
+        Ok(header.note)
+    }
+
+    /// The note of a checkpoint, whatever wrote it.
+    ///
+    /// # Errors
+    /// If the file is not a whole checkpoint.
+    pub fn checkpoint_note(path: &Path) -> Result<String, SplatError> {
+        let bytes = files::read(path)?;
+        let (header, _) = parse(&bytes).map_err(|what| SplatError::file(path, what))?;
         Ok(header.note)
     }
 

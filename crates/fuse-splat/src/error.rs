@@ -29,6 +29,16 @@ pub enum SplatError {
 }
 
 impl SplatError {
+    /// Whether the machine failed, and nothing that the caller could put right was wrong.
+    pub fn is_failure(&self) -> bool {
+        #[cfg(feature = "gpu")]
+        if let Self::Gpu(e) = self {
+            use fuse_camera::gpu::GpuError;
+            return matches!(e, GpuError::Open { .. } | GpuError::Failed(_));
+        }
+        false
+    }
+
     pub(crate) fn io(path: &std::path::Path, source: std::io::Error) -> Self {
         Self::Io { path: path.display().to_string(), source }
     }

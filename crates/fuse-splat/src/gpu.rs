@@ -18,6 +18,8 @@
 #[cfg(feature = "gpu")]
 mod arrays;
 #[cfg(feature = "gpu")]
+mod choice;
+#[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
 mod engine;
@@ -35,6 +37,8 @@ pub mod shaders;
 #[doc(hidden)]
 pub mod twins;
 
+#[cfg(feature = "gpu")]
+pub use choice::Choice;
 #[cfg(feature = "gpu")]
 pub use device::Device;
 #[cfg(feature = "gpu")]

@@ -6,7 +6,7 @@ use crate::constants::PARAMETERS;
 pub const LANES: usize = 8;
 
 /// Eight Gaussians: row `r`, lane `l` is parameter `r` of the block's Gaussian `l`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(32))]
 pub struct Block(pub [[f32; LANES]; PARAMETERS]);
 
@@ -46,6 +46,11 @@ impl Table {
     /// The blocks.
     pub fn blocks_mut(&mut self) -> &mut [Block] {
         &mut self.blocks
+    }
+
+    /// The blocks' numbers as they lie in memory: (blocks, 59, 8).
+    pub fn numbers(&self) -> &[f32] {
+        bytemuck::cast_slice(&self.blocks)
     }
 
     /// Element `row` of vector `i`.

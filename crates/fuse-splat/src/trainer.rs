@@ -107,13 +107,13 @@ impl Trainer {
         Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
     }
 
-    /// What decides the last bits: the SIMD level, or the GPU.
+    /// What decides the last bits, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`.
     pub fn runs_on(&self) -> String {
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
-            return gpu.name().into();
+            return format!("gpu ({})", gpu.name());
         }
-        self.level.name().into()
+        format!("cpu ({})", self.level.name())
     }
 
     /// Adds a view to train on; returns its index.

@@ -225,6 +225,6 @@ fn a_checkpoint_continues_on_the_same_gpu_only() {
     second.refine(5).unwrap();
     assert!(first.gaussians() == second.gaussians(), "it continues otherwise");
     let text = cpu.load_checkpoint(&path).unwrap_err().to_string();
-    let expected = format!("written on {}, this training runs on {};", device.name(), best().name());
+    let expected = format!("written on gpu ({}), this training runs on cpu ({});", device.name(), best().name());
     assert!(text.contains(&expected), "{text}");
 }

@@ -22,6 +22,7 @@ RUNTIME_SETTINGS = {
     "method": "each result names its own, and a resumed benchmark may add some",
     "segmenter.weights": "where the file lies; its bytes count, under `weights`",
     "gate.planner": "where the file lies; its bytes count, under `weights`",
+    "map.device": "what was wished for; what was taken counts, under `device`",
 }
 """Settings without influence on a result, each with the reason; every other setting is identity."""
 
@@ -38,13 +39,14 @@ _MEANINGS = {
     "data": "with other objects, scenes or knowledge",
     "packages": "with other packages",
     "simd_level": "at another SIMD level",
+    "device": "on another device",
 }
 
 
 def identity(config: Config, episodes: Sequence[Episode], provenance: Mapping[str, Any]) -> dict[str, Any]:
     """The parts that decide results, as JSON values.
 
-    `provenance` is an agent's: its packages, SIMD level and digests of weights count here.
+    `provenance` is an agent's: its packages, SIMD level, device and digests of weights count here.
     """
     return {
         "identity_version": IDENTITY_VERSION,
@@ -55,6 +57,7 @@ def identity(config: Config, episodes: Sequence[Episode], provenance: Mapping[st
         "data": _files_digest(_PACKAGE, (p for p in (_PACKAGE / "data").rglob("*") if p.is_file())),
         "packages": provenance["packages"],
         "simd_level": provenance["simd_level"],
+        "device": provenance["device"],
     }
 
 

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, SIMD level, weights. Nothing here names a user or a place."""
+"""Where a result comes from: versions, SIMD level, device, weights. Nothing here names a user or a place."""
 
 from __future__ import annotations
 
@@ -38,8 +38,11 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def provenance(**files: Path) -> dict[str, Any]:
-    """Versions of everything that computes, and digests of `files` by name."""
+def provenance(device: str, **files: Path) -> dict[str, Any]:
+    """Versions of everything that computes, and digests of `files` by name.
+
+    `device` is what maps are trained on, from `splat.device_name`.
+    """
     packages = {}
     for name in _PACKAGES:
         try:
@@ -52,6 +55,7 @@ def provenance(**files: Path) -> dict[str, Any]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "simd_level": _core.simd_level,
+        "device": device,
         "packages": packages,
         "sha256": {name: sha256(path) for name, path in files.items() if path.exists()},
     }

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -25,6 +26,8 @@ def execute(arguments: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """The `fuse` command."""
+    # Mesa's layer that sorts GPUs complains where there is no desktop; `fuse` sorts them itself.
+    os.environ.setdefault("NODEVICE_SELECT", "1")
     sys.exit(execute())
 
 

@@ -31,6 +31,9 @@ DownscaleOption = Annotated[
 HoldoutOption = Annotated[
     int, typer.Option(min=0, help="Every N-th view by file name is held out; 0: none.", metavar="N")
 ]
+DeviceOption = Annotated[
+    str, typer.Option(help="cpu, gpu, or auto: a real GPU if there is one, else the CPU.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 _DEFAULTS = training.TrainOptions()
@@ -44,7 +47,16 @@ def train(
     downscale: DownscaleOption = None,
     holdout: HoldoutOption = 8,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same map.")] = 0,
-    max_gaussians: Annotated[int, typer.Option(min=1, help="No more are made.")] = _DEFAULTS.max_gaussians,
+    max_gaussians: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help=f"No more are made; default: {training.MAX_GAUSSIANS}, with official no limit."
+        ),
+    ] = None,
+    schedule: Annotated[
+        str, typer.Option(help="fast, or official: every setting as in the original.")
+    ] = _DEFAULTS.schedule,
+    device: DeviceOption = _DEFAULTS.device,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted training, bit for bit.")
     ] = False,
@@ -62,8 +74,15 @@ def train(
     if not photos.has_poses(data):
         _find_poses(data, colmap, console)
     options = training.TrainOptions(
-        iterations, seed, max_gaussians, checkpoint_every, _DEFAULTS.evaluate_every, preview
+        iterations=iterations,
+        seed=seed,
+        max_gaussians=max_gaussians,
+        schedule=schedule,
+        device=device,
+        checkpoint_every=checkpoint_every,
+        preview=preview,
     )
+    options.config()  # refuses before photos are looked at
     dataset = Dataset(data, downscale, holdout)
     for note in dataset.notes:
         console.print(note)
@@ -88,6 +107,8 @@ def train(
     values = {
         "out": str(out),
         "iterations": result.iterations,
+        "schedule": options.schedule,
+        "device": result.device,
         "gaussians": result.gaussians,
         "psnr": training.finite(result.psnr),
         "ssim": result.ssim,

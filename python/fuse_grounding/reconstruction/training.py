@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,21 @@ import numpy as np
 from fuse_grounding import visualize
 from fuse_grounding.errors import InputError
 from fuse_grounding.reconstruction.dataset import Dataset, View
-from fuse_grounding.splat import Gaussians, Trainer, TrainerConfig, map_format, quality, render
+from fuse_grounding.splat import (
+    Gaussians,
+    Trainer,
+    TrainerConfig,
+    checkpoint_note,
+    map_format,
+    quality,
+    render,
+)
 
 # Iterations between two looks at the loss.
 TICK = 50
+# Where an episode's map stays small to be refined within seconds, a photo set's may grow.
+MAX_GAUSSIANS = 200_000
+SCHEDULES = ("fast", "official")
 # Held-out views that are looked at while it trains; all of them at the end.
 WATCHED = 8
 
@@ -28,8 +40,12 @@ class TrainOptions:
     iterations: int = 7000
     """The original's first milestone."""
     seed: int = 0
-    max_gaussians: int = 200_000
-    """Where an episode's map stays small to be refined within seconds, a photo set's may grow."""
+    max_gaussians: int | None = None
+    """None: `MAX_GAUSSIANS`; under the schedule `official`, out of reach."""
+    schedule: str = "fast"
+    """`official`: every setting as in the original, whatever the number of iterations."""
+    device: str = "cpu"
+    """As `splat.Trainer`'s."""
     checkpoint_every: int = 500
     """Iterations between two checkpoints, 0: only when interrupted."""
     evaluate_every: int = 500
@@ -38,10 +54,19 @@ class TrainOptions:
     """A picture, photo beside rendering, renewed at every measurement."""
 
     def config(self) -> TrainerConfig:
-        """The trainer's settings: rates fall, and densification ends, with the training."""
+        """The trainer's settings; under `fast`, rates fall, and densification ends, with the training.
+
+        Raises InputError for a schedule that is not one of `SCHEDULES`.
+        """
+        if self.schedule not in SCHEDULES:
+            raise InputError(f"schedule must be `fast` or `official`, found `{self.schedule}`")
+        if self.schedule == "official":
+            original = TrainerConfig.official()
+            limit = original.max_gaussians if self.max_gaussians is None else self.max_gaussians
+            return replace(original, seed=self.seed, max_gaussians=limit)
         return TrainerConfig(
             seed=self.seed,
-            max_gaussians=self.max_gaussians,
+            max_gaussians=MAX_GAUSSIANS if self.max_gaussians is None else self.max_gaussians,
             position_steps=max(self.iterations, 1),
             densify_end=min(15_000, self.iterations - self.iterations // 4),
         )
@@ -68,6 +93,8 @@ class Result:
     psnr: float | None
     ssim: float | None
     train_seconds: float
+    device: str
+    """What it was trained on; it is measured on the CPU."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +139,7 @@ class Training:
     ):
         self.dataset, self.out, self.options = dataset, out, options
         self.checkpoint = checkpoint_of(out)
+        settings = options.config()
         _check_outputs(out, options)
         if self.checkpoint.exists() and not resume:
             raise InputError(
@@ -119,11 +147,12 @@ class Training:
             )
         dataset.check_memory()
         xyz, rgb = dataset.points()
-        if len(xyz) > options.max_gaussians:
+        if len(xyz) > settings.max_gaussians:
             raise InputError(
-                f"{dataset.folder} has {len(xyz)} points, more than --max-gaussians {options.max_gaussians}"
+                f"{dataset.folder} has {len(xyz)} points, more than --max-gaussians {settings.max_gaussians}"
             )
-        self._trainer = Trainer(Gaussians.from_points(xyz, rgb), options.config())
+        self._trainer = Trainer(Gaussians.from_points(xyz, rgb), settings, options.device)
+        told(f"schedule {options.schedule}, trains on {self._trainer.device}")
         for image, camera in dataset.read(
             dataset.train, lambda n: told(f"read {n} of {len(dataset.train)} photos")
         ):
@@ -137,10 +166,17 @@ class Training:
             told(f"no checkpoint {self.checkpoint}, starts afresh")
 
     def _resume(self) -> None:
+        again = "--resume needs the data and options of the first run"
         try:
+            schedule = _schedule_of(checkpoint_note(self.checkpoint))
+            if schedule not in (None, self.options.schedule):
+                raise InputError(
+                    f"{self.checkpoint}: written under --schedule {schedule}, "
+                    f"this training has --schedule {self.options.schedule}"
+                )
             self._trainer.load_checkpoint(self.checkpoint)
         except InputError as error:
-            raise InputError(f"{error} (--resume needs the data and options of the first run)") from None
+            raise InputError(f"{error} ({again})") from None
         if self._trainer.iteration > self.options.iterations:
             raise InputError(
                 f"{self.checkpoint} is at iteration {self._trainer.iteration}, beyond --iterations "
@@ -161,16 +197,19 @@ class Training:
                     measured = self._measure(WATCHED)
                 report(Progress(now, total, stats.loss, stats.gaussians, measured.psnr, measured.ssim))
                 if _due(now, self.options.checkpoint_every) and now < total:
-                    self._trainer.save_checkpoint(self.checkpoint)
+                    self._save_checkpoint()
         except KeyboardInterrupt:
-            self._trainer.save_checkpoint(self.checkpoint)
+            self._save_checkpoint()
             raise
         gaussians = self._trainer.gaussians
         gaussians.save(self.out)
         measured = self._measure(None)
         self.checkpoint.unlink(missing_ok=True)
         seconds = time.perf_counter() - began
-        return Result(total, len(gaussians), measured.psnr, measured.ssim, seconds)
+        return Result(total, len(gaussians), measured.psnr, measured.ssim, seconds, self._trainer.device)
+
+    def _save_checkpoint(self) -> None:
+        self._trainer.save_checkpoint(self.checkpoint, json.dumps({"schedule": self.options.schedule}))
 
     def _stops(self, at: int) -> list[int]:
         """Iterations to the next checkpoint and measurement."""
@@ -189,6 +228,15 @@ def write_preview(path: Path, gaussians: Gaussians, view: View) -> None:
     image, camera = view
     drawn = np.rint(render(gaussians, camera)[0] * 255).astype(np.uint8)
     visualize.write(path, visualize.picture(np.hstack([image, drawn])))
+
+
+def _schedule_of(note: str) -> str | None:
+    """The schedule that a checkpoint's note names; None for a note of somebody else's."""
+    try:
+        found = json.loads(note)
+    except ValueError:
+        return None
+    return found.get("schedule") if isinstance(found, dict) else None
 
 
 def _check_outputs(out: Path, options: TrainOptions) -> None:

@@ -47,9 +47,9 @@ impl Engine {
     /// To the GPU.
     pub fn upload(&mut self, patient: &Patient) -> Result<(), SplatError> {
         let (gpu, arrays) = (&self.pipeline.device.gpu, &mut self.pipeline.arrays);
-        arrays.table.write(gpu, &words(&patient.parameters))?;
-        arrays.first.write(gpu, &words(&patient.moments[0]))?;
-        arrays.second.write(gpu, &words(&patient.moments[1]))?;
+        arrays.table.write(gpu, patient.parameters.numbers())?;
+        arrays.first.write(gpu, patient.moments[0].numbers())?;
+        arrays.second.write(gpu, patient.moments[1].numbers())?;
         let d = &patient.density;
         arrays.density.write(gpu, &[&d.gradient[..], &d.count, &d.radius].concat())?;
         arrays.losses.resize(gpu, LOSSES)?;
@@ -137,12 +137,7 @@ pub(super) fn truth(device: &Device, image: &RgbBuffer) -> Result<Array, SplatEr
     Array::with(&device.gpu, "true image", &pixels)
 }
 
-/// A table as it lies in memory.
-pub(super) fn words(table: &Table) -> Vec<f32> {
-    table.blocks().iter().flat_map(|b| b.0.as_flattened()).copied().collect()
-}
-
-/// And back, for `n` Gaussians.
+/// A table of `n` vectors from its numbers, [`Table::numbers`].
 pub(super) fn table(words: &[f32], n: usize) -> Table {
     let mut table = Table::zeros(n);
     let size = crate::LANES * PARAMETERS;

@@ -4,7 +4,7 @@ use fuse_camera::{Camera, RgbBuffer};
 
 use super::arrays::table_words;
 use super::device::Device;
-use super::engine::{table, truth, words};
+use super::engine::{table, truth};
 use super::pipeline::{Pipeline, Settings};
 use crate::constants::MAX_DEGREE;
 use crate::render::{Drawn, check_size};
@@ -69,7 +69,7 @@ pub(super) fn load(
     settings: &Settings,
 ) -> Result<Pipeline, SplatError> {
     let mut p = Pipeline::new(device);
-    p.arrays.table.write(&device.gpu, &words(&gaussians.table))?;
+    p.arrays.table.write(&device.gpu, gaussians.table.numbers())?;
     p.arrays.density.write(&device.gpu, &vec![0f32; 3 * gaussians.len().max(1)])?;
     p.prepare(view, gaussians.len(), settings)?;
     Ok(p)

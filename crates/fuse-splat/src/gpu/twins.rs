@@ -5,7 +5,7 @@ use fuse_camera::{Camera, RgbBuffer};
 
 use super::arrays::{SPLAT, SUMS, table_words};
 use super::device::Device;
-use super::engine::{step, table, truth, words};
+use super::engine::{step, table, truth};
 use super::pipeline::Settings;
 use super::render::load;
 use crate::constants::{MAX_DEGREE, PARAMETERS};
@@ -113,8 +113,8 @@ pub fn iteration(
     let settings = Settings { degree: MAX_DEGREE, background, lambda, slot: 0 };
     let mut p = load(device, gaussians, &view, &settings)?;
     let [first, second] = past(&gaussians.table);
-    p.arrays.first.write(gpu, &words(&first))?;
-    p.arrays.second.write(gpu, &words(&second))?;
+    p.arrays.first.write(gpu, first.numbers())?;
+    p.arrays.second.write(gpu, second.numbers())?;
     p.arrays.rates.write(gpu, &step(rates, STEP))?;
     let truth = truth(device, image)?;
 
@@ -171,7 +171,7 @@ pub fn iteration(
     let gpu_gradient: Vec<f32> = p.read(encoder, |a| &a.gradient, table_words(n))?;
     let gpu_density: Vec<f32> = p.read(p.encoder(), |a| &a.density, 3 * n)?;
 
-    p.arrays.gradient.write(gpu, &words(&gradient))?;
+    p.arrays.gradient.write(gpu, gradient.numbers())?;
     let mut encoder = p.encoder();
     p.adam(&mut encoder);
     let stepped: Vec<f32> = p.read(encoder, |a| &a.table, table_words(n))?;

@@ -1,0 +1,12 @@
+#![no_main]
+
+mod attack;
+#[path = "../../tests/fuzz/readers.rs"]
+#[allow(dead_code)]
+mod readers;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| attack::photo_set(
+    "colmap_binary",
+    &["cameras", "images", "points3D"],
+    bytes
+));
