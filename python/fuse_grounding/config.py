@@ -145,8 +145,11 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
 
     schedule: Literal["fast", "official"] = "fast"
     """`official`: trainer's settings that are not given are those of `splat.TrainerConfig.official`. Ours."""
-    fine_iterations: int | None = Field(default=160, ge=0)
-    """As there; what 160 saves and what it costs is measured in docs/performance.md. Ours."""
+    fine_iterations: int | None = Field(default=240, ge=0)
+    """As there, and so are the next three; each is measured alone in docs/performance.md. Ours."""
+    matched_low_pass: bool = True
+    step_iterations: Count = 3
+    rate_gain: Positive = 3.0
     initial_iterations: Count = 1000
     """Optimisation over the seed views. Supplement, "3D Gaussian Splatting"."""
     incremental_iterations: Count = 400
