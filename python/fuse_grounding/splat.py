@@ -25,7 +25,7 @@ from pydantic import Field
 
 from fuse_grounding import _core
 from fuse_grounding._core import Camera
-from fuse_grounding.arguments import Count, Fraction, Natural, Positive, instance_of, whole
+from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive, instance_of, whole
 from fuse_grounding.errors import InputError
 
 __all__ = [
@@ -95,7 +95,7 @@ class TrainerConfig:
     fine_iterations: Natural | None = None
     """So many iterations at the end of a call look at the views at full resolution, those before at half,
     which costs a third; None: all at full resolution, as in the original."""
-    matched_low_pass: bool = False
+    matched_low_pass: Flag = False
     """Views at half the resolution are drawn as the means of full pixels would be, with a narrower low-pass
     in their wider pixels; otherwise Gaussians shrink there, and grow again at full resolution; ours."""
     step_iterations: Count = 1
