@@ -62,7 +62,7 @@ def _range(values: list[float], logarithmic: bool) -> tuple[float, float]:
 def _label(value: float) -> str:
     if value >= 1e6:
         return f"{value / 1e6:g}M"
-    return f"{value / 1e3:g}k" if value >= 1e4 else f"{value:g}"
+    return f"{value / 1e3:g}k" if value >= 1e4 else f"{value + 0:g}"  # no minus before a zero
 
 
 def _scale(low: float, high: float, logarithmic: bool) -> Callable[[float], float]:
