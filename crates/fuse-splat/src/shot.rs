@@ -140,6 +140,7 @@ mod tests {
             half.iter().enumerate().map(|(i, v)| (v - mean(i)).powi(2)).sum::<f32>().sqrt()
         };
         let (matched, plain) = (error(true), error(false));
-        assert!(matched < 0.2 * plain && plain > 0.5, "{matched} with, {plain} without");
+        // Not all of it: a wider splat is as opaque, so that it is brighter in sum.
+        assert!(matched < 0.5 * plain && plain > 0.5, "{matched} with, {plain} without");
     }
 }
