@@ -58,6 +58,7 @@ bench: install
 	$(BIN)/python benches/evidence.py
 	$(BIN)/python benches/registration.py
 	$(BIN)/python benches/map_quality.py
+	$(BIN)/python benches/scaling.py
 	$(BIN)/python benches/segmenter.py
 
 # Remakes the shipped objects and development episodes from their recorded seeds.

@@ -8,10 +8,13 @@ evenly spaced in ring order:
 - tilt: one pitch step from a viewpoint of the path, at the same node. These look 15 degrees further up or
   down, so that part of what they show was in no picture.
 
+Beside them, the training views: the oldest (mean of the seeds), the newest one, and all.
+
     python benches/map_quality.py                     # both textured scenes, known poses
     python benches/map_quality.py --config '{"schedule": "official"}'
     python benches/map_quality.py --config '{"fine_iterations": null}'   # fast, but at full resolution
     python benches/map_quality.py --registration colmap --scenes train_workshop
+    python benches/map_quality.py --plot docs/images/views.png           # old and new views over the moves
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from plot import Panel, save
 
 from fuse_grounding import splat
 from fuse_grounding.config import MapConfig
@@ -154,12 +158,17 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
         begin = time.perf_counter()
         stats = trainer.refine(options.first if step == 0 else options.each)
         seconds = time.perf_counter() - begin
+        views_so_far = zip(seeds + views[:step], registrar.views(), strict=True)
+        trained = [splat.quality(trainer.gaussians, r.camera, v.rgb)[0] for v, r in views_so_far]
         values, tilts = judge.mapped(trainer.gaussians), tilted.mapped(trainer.gaussians)
         line = {
             "step": step,
             "psnr": float(np.mean(values)),
             "psnr_worst": min(values),
             "psnr_tilt": float(np.mean(tilts)),
+            "psnr_oldest": float(np.mean(trained[: len(seeds)])),
+            "psnr_newest": trained[-1],
+            "psnr_trained": float(np.mean(trained)),
             "gaussians": stats.gaussians,
             "seconds": seconds,
             "stage_seconds": stats.stage_seconds,
@@ -167,7 +176,8 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
         lines.append(line)
         print(
             f"  {step:2d}: held out {line['psnr']:.2f} dB (worst {line['psnr_worst']:.2f}), "
-            f"tilted {line['psnr_tilt']:.2f} dB, "
+            f"tilted {line['psnr_tilt']:.2f} dB; trained on, oldest {line['psnr_oldest']:.2f}, "
+            f"newest {line['psnr_newest']:.2f}, all {line['psnr_trained']:.2f} dB; "
             f"loss {stats.loss:.4f}, {stats.gaussians} Gaussians, {seconds:.1f} s",
             flush=True,
         )
@@ -176,6 +186,16 @@ def run(scene: str, options: argparse.Namespace) -> dict[str, Any]:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"  {lines[-1]['psnr'] - flat:+.2f} dB over one flat colour; peak memory {peak:.0f} MiB")
     return {"scene": scene, "flat_psnr": flat, "refinements": lines, "peak_mib": peak}
+
+
+def panel(result: dict[str, Any]) -> Panel:
+    """PSNR over the moves of one scene."""
+    names = {"oldest four views": "psnr_oldest", "newest view": "psnr_newest", "held out": "psnr"}
+    lines = {
+        name: [(float(line["step"]), line[key]) for line in result["refinements"]]
+        for name, key in names.items()
+    }
+    return Panel(result["scene"], "moves", "PSNR, dB", lines)
 
 
 def main() -> None:
@@ -192,9 +212,12 @@ def main() -> None:
     parser.add_argument("--no-points", action="store_true", help="do not add newly triangulated points")
     parser.add_argument("--config", default="{}", help="settings of the map as JSON")
     parser.add_argument("--pictures", help="write observed and predicted views to this folder")
+    parser.add_argument("--plot", help="draw the PSNR of old, new and held-out views to this PNG")
     parser.add_argument("--json", help="write the figures to this file")
     options = parser.parse_args()
     results = [run(scene, options) for scene in options.scenes]
+    if options.plot:
+        save(Path(options.plot), [panel(result) for result in results])
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
             json.dump(results, file, indent=1)

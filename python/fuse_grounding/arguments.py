@@ -13,6 +13,7 @@ Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Natural = Annotated[int, Field(ge=0)]
+Flag = Annotated[bool, Field(strict=True)]
 
 LARGEST = 2**31 - 1
 """What fits every integer of the native code."""

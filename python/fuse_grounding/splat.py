@@ -29,7 +29,7 @@ from pydantic import Field
 
 from fuse_grounding import _core
 from fuse_grounding._core import Camera
-from fuse_grounding.arguments import Count, Fraction, Natural, Positive, instance_of, whole
+from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive, instance_of, whole
 from fuse_grounding.errors import InputError
 
 __all__ = [
@@ -101,6 +101,17 @@ class TrainerConfig:
     fine_iterations: Natural | None = None
     """So many iterations at the end of a call look at the views at full resolution, those before at half,
     which costs a third; None: all at full resolution, as in the original."""
+    matched_low_pass: Flag = False
+    """Views at half the resolution are drawn as the means of full pixels would be, with a narrower low-pass
+    in their wider pixels; otherwise Gaussians shrink there, and grow again at full resolution; ours."""
+    step_iterations: Count = 1
+    """Iterations of the original that one step stands for: so many times fewer steps, and all that is due by
+    iteration comes as often in a call as ever; ours."""
+    rate_gain: Positive = 1.0
+    """Times all learning rates: larger steps where there are fewer; ours."""
+    favour_new: Natural = 0
+    """In the first so many steps after new views came to a trained map, every second looks at these; 0: in
+    shuffled rounds only, as in the original."""
     extent: Positive | None = None
     """Extent of the scene, metres; None: 1.1 times the largest distance of a camera from their mean."""
     background: tuple[Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0)
@@ -119,6 +130,10 @@ OFFICIAL: dict[str, Any] = {
     "opacity_reset_margin": 0,
     "max_gaussians": 1_000_000,
     "fine_iterations": None,
+    "matched_low_pass": False,
+    "step_iterations": 1,
+    "rate_gain": 1.0,
+    "favour_new": 0,
 }
 """Where the original differs from the defaults. It has no limit on Gaussians; this one is out of reach."""
 

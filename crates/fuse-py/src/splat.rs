@@ -299,6 +299,10 @@ fn trainer_config(settings: &Bound<'_, PyDict>) -> PyResult<TrainerConfig> {
             opacity_reset_margin,
             max_gaussians,
             fine_iterations,
+            matched_low_pass,
+            step_iterations,
+            rate_gain,
+            favour_new,
             extent,
             background,
             seed

@@ -13,21 +13,23 @@ use serde::{Deserialize, Serialize};
 
 use crate::bytes::Bytes;
 use crate::constants::PARAMETERS;
+use crate::order::Order;
 use crate::stages::Density;
 use crate::surgery::Patient;
 use crate::table::Table;
 use crate::{SplatError, Trainer, files};
 
 const MAGIC: &[u8] = b"FUSESPLT";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// f32 numbers of one Gaussian: parameters, two moments, three statistics.
 const NUMBERS: usize = 3 * PARAMETERS + 3;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Header {
     iteration: u32,
+    steps: u32,
     gaussians: usize,
-    queue: Vec<usize>,
+    order: Order,
     densify_due: bool,
     reset_due: bool,
     rng_seed: [u8; 32],
@@ -52,8 +54,9 @@ impl Trainer {
     pub fn save_checkpoint(&self, path: &Path, note: &str) -> Result<(), SplatError> {
         let header = Header {
             iteration: self.iteration,
+            steps: self.steps,
             gaussians: self.patient.len(),
-            queue: self.queue.clone(),
+            order: self.order.clone(),
             densify_due: self.densify_due,
             reset_due: self.reset_due,
             rng_seed: self.rng.get_seed(),
@@ -96,7 +99,8 @@ impl Trainer {
         rng.set_word_pos(word);
         self.rng = rng;
         self.iteration = header.iteration;
-        self.queue = header.queue;
+        self.steps = header.steps;
+        self.order = header.order;
         self.densify_due = header.densify_due;
         self.reset_due = header.reset_due;
         Ok(header.note)
@@ -132,7 +136,8 @@ impl Trainer {
         if let Some(i) = (0..views.len()).find(|&i| views[i] != header.views[i]) {
             return Err(format!("written with other views: image or camera of view {i} differs"));
         }
-        if header.queue.iter().any(|&i| i >= views.len()) || header.iteration > i32::MAX as u32 {
+        let counts = header.iteration.max(header.steps) > i32::MAX as u32;
+        if !header.order.fits(views.len()) || counts {
             return Err("the header contradicts itself".into());
         }
         Ok(())

@@ -60,6 +60,19 @@ pub struct TrainerConfig {
     /// So many iterations at the end of a call look at the views at full resolution, those before at
     /// half of it, which costs a third. `None`: all at full resolution, as in the original.
     pub fine_iterations: Option<u32>,
+    /// Views at half the resolution are drawn as the means of full pixels would be, with a narrower
+    /// low-pass in their wider pixels; otherwise Gaussians shrink there, and grow again at full
+    /// resolution (ours).
+    pub matched_low_pass: bool,
+    /// Iterations of the original that one step stands for: a call takes so many times fewer steps,
+    /// and all that is due by iteration comes as often in it as ever. Calls whose lengths are
+    /// multiples of this do together what one long call does. 1: every iteration is a step (ours).
+    pub step_iterations: u32,
+    /// Times all learning rates; larger steps where there are fewer of them (ours).
+    pub rate_gain: f32,
+    /// In the first so many steps after new views came to a trained map, every second looks at these
+    /// (ours). 0: in shuffled rounds only, as in the original.
+    pub favour_new: u32,
     /// Extent of the scene, metres; `None`: 1.1 times the largest distance of a camera from the
     /// cameras' mean, as in the original.
     pub extent: Option<f32>,
@@ -94,6 +107,10 @@ impl Default for TrainerConfig {
             opacity_reset_margin: 1000,
             max_gaussians: 40_000,
             fine_iterations: None,
+            matched_low_pass: false,
+            step_iterations: 1,
+            rate_gain: 1.0,
+            favour_new: 0,
             extent: None,
             background: [0.0; 3],
             seed: 0,
@@ -116,6 +133,7 @@ impl TrainerConfig {
             ("rotation_rate", self.rotation_rate),
             ("densify_gradient", self.densify_gradient),
             ("dense_fraction", self.dense_fraction),
+            ("rate_gain", self.rate_gain),
             ("prune_fraction", self.prune_fraction.unwrap_or(1.0)),
             ("prune_radius", self.prune_radius.unwrap_or(1.0)),
             ("extent", self.extent.unwrap_or(1.0)),
@@ -141,6 +159,7 @@ impl TrainerConfig {
             ("degree_interval", self.degree_interval),
             ("densify_interval", self.densify_interval),
             ("opacity_reset_interval", self.opacity_reset_interval),
+            ("step_iterations", self.step_iterations),
         ];
         if let Some((name, v)) = counts.iter().find(|(_, v)| *v == 0) {
             return refuse(name, v.to_string(), "at least 1");

@@ -21,6 +21,7 @@ mod files;
 mod gaussians;
 pub mod gpu;
 mod nearest;
+mod order;
 mod ply;
 mod quality;
 #[doc(hidden)]

@@ -18,7 +18,7 @@ pub(crate) fn rates(config: &TrainerConfig, iteration: u32, extent: f32) -> [f32
     rates[ROTATION..ROTATION + 4].fill(config.rotation_rate);
     rates[OPACITY] = config.opacity_rate;
     rates[DC..REST].fill(config.feature_rate);
-    rates
+    rates.map(|rate| config.rate_gain * rate)
 }
 
 /// Degree of the harmonics in iteration `i` (from 1).
@@ -32,16 +32,20 @@ pub(crate) fn coarse(config: &TrainerConfig, left: u32) -> bool {
     config.fine_iterations.is_some_and(|fine| left > fine)
 }
 
-/// Whether Gaussians are cloned, split and removed after iteration `i`.
-pub(crate) fn densify_after(config: &TrainerConfig, iteration: u32) -> bool {
-    iteration > config.densify_start
-        && iteration < config.densify_end
-        && iteration.is_multiple_of(config.densify_interval)
+/// The last multiple of `interval` up to iteration `i`, if it lies within the last `step`.
+fn due(interval: u32, iteration: u32, step: u32) -> Option<u32> {
+    let last = iteration - iteration % interval;
+    (last > 0 && last > iteration.saturating_sub(step)).then_some(last)
 }
 
-/// Whether the opacities are reset after iteration `i`.
-pub(crate) fn reset_after(config: &TrainerConfig, iteration: u32) -> bool {
-    iteration > 0 && iteration < config.densify_end && iteration.is_multiple_of(config.opacity_reset_interval)
+/// Whether Gaussians are cloned, split and removed after a step of `step` iterations to the `i`-th.
+pub(crate) fn densify_after(config: &TrainerConfig, iteration: u32, step: u32) -> bool {
+    due(config.densify_interval, iteration, step).is_some_and(|i| i > config.densify_start && i < config.densify_end)
+}
+
+/// Whether the opacities are reset after it.
+pub(crate) fn reset_after(config: &TrainerConfig, iteration: u32, step: u32) -> bool {
+    due(config.opacity_reset_interval, iteration, step).is_some_and(|i| i < config.densify_end)
 }
 
 #[cfg(test)]
@@ -61,9 +65,17 @@ mod tests {
             [5e-3, 1e-3, 2.5e-2, 2.5e-3, 1.25e-4, 1.25e-4]
         );
         assert_eq!([999, 1000, 2500, 9999].map(|i| degree(&c, i)), [0, 1, 2, 3]);
-        let due: Vec<u32> = (0..16_000).filter(|&i| densify_after(&c, i)).collect();
+        let due: Vec<u32> = (0..16_000).filter(|&i| densify_after(&c, i, 1)).collect();
         assert_eq!((due[0], due[1], due[due.len() - 1]), (600, 700, 14_900));
-        let due: Vec<u32> = (0..20_000).filter(|&i| reset_after(&c, i)).collect();
+        let due: Vec<u32> = (0..20_000).filter(|&i| reset_after(&c, i, 1)).collect();
         assert_eq!(due, [3000, 6000, 9000, 12_000]);
+    }
+
+    #[test]
+    fn steps_of_several_iterations_miss_nothing_and_repeat_nothing() {
+        let c = TrainerConfig { densify_interval: 100, ..TrainerConfig::default() };
+        let due: Vec<u32> = (0..16_000).step_by(3).filter(|&i| densify_after(&c, i, 3)).collect();
+        assert_eq!((due[0], due[1], due[2], due.len()), (600, 702, 801, 144));
+        assert_eq!((0..20_000).step_by(7).filter(|&i| reset_after(&c, i, 7)).count(), 4);
     }
 }

@@ -3,10 +3,9 @@
 use fuse_camera::simd::Level;
 use fuse_camera::{Camera, RgbBuffer};
 
-use crate::SplatError;
-use crate::checkpoint;
 use crate::cpu::loss::Target;
 use crate::stages::View;
+use crate::{SplatError, TrainerConfig, checkpoint};
 
 /// Smaller than this, a side is not halved: windows of SSIM would see little but the rim.
 const SMALLEST: usize = 24;
@@ -20,24 +19,27 @@ pub(crate) struct Shot {
     full: (View, Target),
     /// Half as wide and half as high; only where the schedule looks at it.
     half: Option<(View, Target)>,
+    /// See [`TrainerConfig::matched_low_pass`].
+    matched: bool,
 }
 
 impl Shot {
-    /// `halved`: also keeps the picture at half its resolution.
+    /// Also keeps the picture at half its resolution where the schedule looks at it.
     ///
     /// # Errors
     /// If picture and camera differ in size, or are larger than 4096 pixels a side.
-    pub fn new(level: Level, image: &RgbBuffer, camera: &Camera, halved: bool) -> Result<Self, SplatError> {
+    pub fn new(level: Level, image: &RgbBuffer, camera: &Camera, config: &TrainerConfig) -> Result<Self, SplatError> {
         let view = View::new(camera)?;
         let target = crate::render::target(level, image, &view)?;
-        let half = if halved && view.width.min(view.height) >= 2 * SMALLEST {
-            let half = view.halved();
+        let matched = config.matched_low_pass;
+        let half = if config.fine_iterations.is_some() && view.width.min(view.height) >= 2 * SMALLEST {
+            let half = view.halved(matched);
             let target = crate::render::target(level, &halve(image)?, &half)?;
             Some((half, target))
         } else {
             None
         };
-        Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, target), half })
+        Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, target), half, matched })
     }
 
     /// Replaces the camera.
@@ -55,7 +57,7 @@ impl Shot {
         }
         (self.camera, *view) = (*camera, new);
         if let Some((view, _)) = &mut self.half {
-            *view = new.halved();
+            *view = new.halved(self.matched);
         }
         Ok(())
     }
@@ -89,6 +91,9 @@ pub(crate) fn halve(image: &RgbBuffer) -> Result<RgbBuffer, SplatError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Gaussians;
+    use crate::constants::{OPACITY, SCALE};
+    use crate::cpu::Pipeline;
 
     #[test]
     fn a_quarter_of_the_pixels_are_means_of_four() {
@@ -96,5 +101,46 @@ mod tests {
         let image = RgbBuffer::from_vec(5, 5, pixels).unwrap();
         // (0 + 1 + 5 + 6) / 4 = 3, (2 + 3 + 7 + 8) / 4 = 5, ten rows' worth further down 10 more.
         assert_eq!(halve(&image).unwrap().as_slice(), [[3, 30, 7], [5, 50, 7], [13, 130, 7], [15, 150, 7]]);
+    }
+
+    /// Gaussians no wider than a pixel, drawn at half the resolution and as the mean of four pixels.
+    #[test]
+    fn the_matched_low_pass_draws_what_means_of_pixels_show() {
+        let xyz: Vec<[f32; 3]> =
+            (0..48).map(|i| [0.08 * (i % 8) as f32 - 0.28, 0.09 * (i / 8) as f32 - 0.22, 1.0]).collect();
+        let mut gaussians = Gaussians::from_points(&xyz, &[[0.9; 3]; 48]).unwrap();
+        for i in 0..48 {
+            (0..3).for_each(|k| gaussians.set(i, SCALE + k, f32::ln(0.005)));
+            gaussians.set(i, OPACITY, 0.0);
+        }
+        let view = View {
+            width: 96,
+            height: 64,
+            fx: 120.0,
+            fy: 120.0,
+            cx: 48.0,
+            cy: 32.0,
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0; 3],
+            center: [0.0; 3],
+            low_pass: crate::constants::LOW_PASS,
+        };
+        let drawn = |view: &View| {
+            let mut pipeline = Pipeline::new(fuse_camera::simd::level());
+            pipeline.forward(view, 0, [0.0; 3], gaussians.table(), false);
+            pipeline.image.color[..view.pixels()].to_vec()
+        };
+        let full = drawn(&view);
+        let mean = |i: usize| {
+            let (x, y) = (2 * (i % 48), 2 * (i / 48));
+            [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| full[(y + dy) * 96 + x + dx]).iter().sum::<f32>() / 4.0
+        };
+        let error = |matched: bool| {
+            let half = drawn(&view.halved(matched));
+            half.iter().enumerate().map(|(i, v)| (v - mean(i)).powi(2)).sum::<f32>().sqrt()
+        };
+        let (matched, plain) = (error(true), error(false));
+        // Not all of it: a wider splat is as opaque, so that it is brighter in sum.
+        assert!(matched < 0.5 * plain && plain > 0.5, "{matched} with, {plain} without");
     }
 }

@@ -3,7 +3,7 @@
 use fuse_camera::Camera;
 
 use crate::SplatError;
-use crate::constants::{TILE_HEIGHT, TILE_WIDTH};
+use crate::constants::{LOW_PASS, TILE_HEIGHT, TILE_WIDTH};
 
 /// A camera as the kernels want it.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +19,8 @@ pub(crate) struct View {
     pub translation: [f32; 3],
     /// Camera centre in the world.
     pub center: [f32; 3],
+    /// Added to the projected covariance's diagonal, square pixels.
+    pub low_pass: f32,
 }
 
 impl View {
@@ -44,11 +46,13 @@ impl View {
             rotation: std::array::from_fn(|i| std::array::from_fn(|j| r[(i, j)] as f32)),
             translation: std::array::from_fn(|i| camera.pose.translation[i] as f32),
             center: std::array::from_fn(|i| center[i] as f32),
+            low_pass: LOW_PASS,
         })
     }
 
-    /// The same camera with pixels twice as wide and high.
-    pub fn halved(&self) -> Self {
+    /// The same camera with pixels twice as wide and high. `matched`: with the low-pass of the means
+    /// of two by two pixels, which is their own and the variance of two neighbours, a quarter. Opacity is left as it is.
+    pub fn halved(&self, matched: bool) -> Self {
         Self {
             width: self.width / 2,
             height: self.height / 2,
@@ -56,6 +60,7 @@ impl View {
             fy: 0.5 * self.fy,
             cx: 0.5 * self.cx,
             cy: 0.5 * self.cy,
+            low_pass: if matched { (self.low_pass + 0.25) / 4.0 } else { self.low_pass },
             ..*self
         }
     }

@@ -4,13 +4,13 @@ use std::time::Instant;
 
 use fuse_camera::simd::Level;
 use fuse_camera::{Camera, RgbBuffer};
-use rand::seq::SliceRandom as _;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng as _;
 
 use crate::cpu::adam::Step;
 use crate::cpu::{Pipeline, StageSeconds, lap, project_backward};
 use crate::densify::{Changes, densify};
+use crate::order::Order;
 use crate::shot::Shot;
 use crate::surgery::Patient;
 use crate::{Gaussians, SplatError, TrainerConfig, schedule};
@@ -50,10 +50,11 @@ pub struct Trainer {
     pub(crate) level: Level,
     pub(crate) patient: Patient,
     pub(crate) views: Vec<Shot>,
-    /// Views still to come before all are shuffled anew.
-    pub(crate) queue: Vec<usize>,
+    pub(crate) order: Order,
     pub(crate) rng: ChaCha8Rng,
     pub(crate) iteration: u32,
+    /// Steps of Adam; fewer than iterations where a step stands for several.
+    pub(crate) steps: u32,
     pub(crate) densify_due: bool,
     pub(crate) reset_due: bool,
     pipeline: Pipeline,
@@ -81,9 +82,10 @@ impl Trainer {
             level,
             patient: Patient::new(gaussians.table),
             views: Vec::new(),
-            queue: Vec::new(),
+            order: Order::default(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             iteration: 0,
+            steps: 0,
             densify_due: false,
             reset_due: false,
             pipeline: Pipeline::new(level),
@@ -121,18 +123,16 @@ impl Trainer {
     /// # Errors
     /// If image and camera differ in size, or are larger than 4096 pixels a side.
     pub fn add_view(&mut self, image: &RgbBuffer, camera: &Camera) -> Result<usize, SplatError> {
-        let halved = self.config.fine_iterations.is_some();
-        let shot = Shot::new(self.level, image, camera, halved)?;
+        let shot = Shot::new(self.level, image, camera, &self.config)?;
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &mut self.gpu {
             gpu.add_view(image)?;
-            if halved {
+            if self.config.fine_iterations.is_some() {
                 gpu.add_view(&crate::shot::halve(image)?)?;
             }
         }
         self.views.push(shot);
-        // All views, the new one among them, are due from now on.
-        self.queue.clear();
+        self.order.add(self.views.len() - 1);
         Ok(self.views.len() - 1)
     }
 
@@ -180,7 +180,8 @@ impl Trainer {
         self.views.len()
     }
 
-    /// Runs `iterations` more, each on one view; every view comes once before any comes again.
+    /// Runs `iterations` more, each on one view; without [`TrainerConfig::favour_new`] every view
+    /// comes once before any comes again.
     ///
     /// # Errors
     /// If there are no views.
@@ -209,13 +210,16 @@ impl Trainer {
         self.pipeline.seconds = StageSeconds::default();
         self.lend()?;
         while stats.iterations < iterations && proceed() {
-            let left = (iterations - stats.iterations).saturating_add(following);
+            let rest = iterations - stats.iterations;
+            let left = rest.saturating_add(following);
             self.maintain(extent, left, &mut stats)?;
-            self.iteration += 1;
-            stats.iterations += 1;
+            let step = rest.min(self.config.step_iterations);
+            self.iteration += step;
+            self.steps += 1;
+            stats.iterations += step;
             losses.extend(self.iterate(extent, left)?);
-            self.densify_due |= schedule::densify_after(&self.config, self.iteration);
-            self.reset_due |= schedule::reset_after(&self.config, self.iteration);
+            self.densify_due |= schedule::densify_after(&self.config, self.iteration, step);
+            self.reset_due |= schedule::reset_after(&self.config, self.iteration, step);
         }
         self.take_back()?;
         losses.extend(self.late_losses()?);
@@ -287,7 +291,7 @@ impl Trainer {
 
     /// One iteration, with so many `left`, itself among them; returns the loss if it is known already.
     fn iterate(&mut self, extent: f32, left: u32) -> Result<Option<f64>, SplatError> {
-        let index = self.next_view();
+        let index = self.order.next(self.views.len(), self.config.favour_new, &mut self.rng);
         let (_half, view, target) = self.views[index].at(schedule::coarse(&self.config, left));
         let degree = schedule::degree(&self.config, self.iteration);
         let background = self.config.background;
@@ -298,27 +302,19 @@ impl Trainer {
             let settings = crate::gpu::Settings { degree, background, lambda, slot: 0 };
             // A view's picture at half the resolution lies behind the picture itself.
             let stride = 1 + usize::from(self.config.fine_iterations.is_some());
-            gpu.iterate(stride * index + usize::from(_half), view, settings, &rates, self.iteration)?;
+            gpu.iterate(stride * index + usize::from(_half), view, settings, &rates, self.steps)?;
             return Ok(None);
         }
         self.pipeline.forward(view, degree, background, &self.patient.parameters, false);
         let loss = self.pipeline.backward(view, target, self.config.lambda_dssim);
 
         let mut clock = Instant::now();
-        let step = Step::new(&rates, self.iteration, degree);
+        let step = Step::new(&rates, self.steps, degree);
         let Patient { parameters, moments, density } = &mut self.patient;
         let gathered = self.pipeline.gathered(view, degree);
         project_backward::step(self.level, gathered, &step, parameters, moments, density);
         lap(&mut clock, &mut self.pipeline.seconds.project_backward);
         Ok(Some(loss))
-    }
-
-    fn next_view(&mut self) -> usize {
-        if self.queue.is_empty() {
-            self.queue = (0..self.views.len()).collect();
-            self.queue.shuffle(&mut self.rng);
-        }
-        self.queue.pop().unwrap_or(0)
     }
 
     /// Extent of the scene, metres.

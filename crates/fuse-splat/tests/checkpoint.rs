@@ -13,6 +13,7 @@ fn config() -> TrainerConfig {
         opacity_reset_margin: 40,
         degree_interval: 50,
         fine_iterations: Some(60),
+        matched_low_pass: true,
         max_gaussians: 400,
         seed: 5,
         ..TrainerConfig::default()
@@ -52,6 +53,32 @@ fn a_training_cut_anywhere_ends_in_the_same_bits() {
         let continued = std::fs::read(&path).unwrap();
         whole.save_checkpoint(&path, "").unwrap();
         assert!(continued == std::fs::read(&path).unwrap(), "cut after {cut}");
+    }
+}
+
+#[test]
+fn a_view_is_as_new_after_a_checkpoint_as_before_and_steps_are_counted_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("state");
+    let config = || TrainerConfig { favour_new: 30, step_iterations: 3, rate_gain: 2.0, ..config() };
+    let grown = |first: u32| {
+        let mut trainer = trainer(config(), 4);
+        trainer.refine(first).unwrap();
+        let camera = scene::camera(80, 60, 1.5);
+        let truth = scene::cloud(80, 21, 0.35, [0.03, 0.1], [1.0, 4.0]);
+        trainer.add_view(&scene::picture(&truth, &camera), &camera).unwrap();
+        trainer
+    };
+    let mut whole = grown(30);
+    whole.refine(120).unwrap();
+    for cut in [3, 60] {
+        let mut first = grown(30);
+        first.refine_while(cut, 120 - cut, &mut || true).unwrap();
+        first.save_checkpoint(&path, "").unwrap();
+        let mut second = grown(0);
+        second.load_checkpoint(&path).unwrap();
+        second.refine(120 - cut).unwrap();
+        assert_eq!(second.gaussians(), whole.gaussians(), "cut after {cut}");
     }
 }
 

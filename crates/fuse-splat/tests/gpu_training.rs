@@ -145,7 +145,8 @@ fn train(mut trainer: Trainer, truth: &Gaussians) -> (Gaussians, [RefineStats; 2
 fn two_hundred_iterations_come_as_far_as_on_the_cpu() {
     let Some(device) = scene::gpu::device() else { return };
     let truth = scene::cloud(150, 21, 0.35, [0.03, 0.1], [1.0, 4.0]);
-    let config = || TrainerConfig { densify_start: u32::MAX, fine_iterations: Some(40), ..config() };
+    let config =
+        || TrainerConfig { densify_start: u32::MAX, fine_iterations: Some(40), matched_low_pass: true, ..config() };
     let (cpu, on_cpu) = train(Trainer::new(start(&truth), config()).unwrap(), &truth);
     let (gpu, on_gpu) = train(Trainer::with_device(&device, start(&truth), config()).unwrap(), &truth);
     let (a, b) = (held_out(&cpu, &truth), held_out(&gpu, &truth));

@@ -2,7 +2,7 @@
 
 mod scene;
 
-use fuse_splat::{Gaussians, Trainer, TrainerConfig, psnr, render};
+use fuse_splat::{Gaussians, Trainer, TrainerConfig, psnr, quality, render};
 
 fn held_out_psnr(trained: &Gaussians, truth: &Gaussians, angle: f64) -> f64 {
     let camera = scene::camera(120, 90, angle);
@@ -61,6 +61,64 @@ fn a_start_at_half_the_resolution_ends_as_well() {
     println!("{full:.2} dB, half the resolution first {half_first:.2} dB, once {one_half:.2} dB");
     assert!(half_first > full - 1.0);
     assert!(full != one_half && one_half != half_first, "the resolution is not looked at");
+}
+
+#[test]
+fn a_step_may_stand_for_several_iterations() {
+    let config = |step_iterations| TrainerConfig {
+        densify_start: 10,
+        densify_interval: 20,
+        opacity_reset_interval: 40,
+        opacity_reset_margin: 0,
+        step_iterations,
+        ..TrainerConfig::default()
+    };
+    for (size, steps) in [(1, 100), (3, 34)] {
+        let (mut taken, mut trainer) = (0, trainer(config(size)));
+        let before = trainer.gaussians().len();
+        let mut proceed = || {
+            taken += 1;
+            true
+        };
+        let stats = trainer.refine_while(100, 0, &mut proceed).unwrap();
+        assert_eq!((taken, stats.iterations, trainer.iteration()), (steps, 100, 100));
+        assert_eq!(stats.opacity_resets, 2, "steps of {size}: what is due by iteration comes as often");
+        assert!(trainer.gaussians().len() > before && stats.changes.cloned + stats.changes.split > 0);
+    }
+}
+
+#[test]
+fn the_gain_stretches_every_step() {
+    let moved = |rate_gain| {
+        let mut trainer = trainer(TrainerConfig { rate_gain, ..TrainerConfig::default() });
+        let before = trainer.gaussians();
+        trainer.refine(1).unwrap();
+        let after = trainer.gaussians();
+        let change = |row: usize| (0..before.len()).map(|i| after.vector(i)[row] - before.vector(i)[row]).collect();
+        [0, 3, 10, 11].map(change)
+    };
+    // The first step of Adam is the rate, whatever the gradient.
+    let (once, thrice): ([Vec<f32>; 4], [Vec<f32>; 4]) = (moved(1.0), moved(3.0));
+    for (a, b) in once.iter().zip(&thrice) {
+        assert!(a.iter().any(|v| *v != 0.0));
+        assert!(a.iter().zip(b).all(|(a, b)| (3.0 * a - b).abs() <= 1e-5 + 0.01 * b.abs()), "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_new_view_is_fitted_sooner_where_it_is_favoured() {
+    let camera = scene::camera(120, 90, 2.4);
+    let picture = scene::picture(&truth(), &camera);
+    let error = |favour_new| {
+        let mut trainer = trainer(TrainerConfig { favour_new, ..TrainerConfig::default() });
+        trainer.refine(100).unwrap();
+        trainer.add_view(&picture, &camera).unwrap();
+        trainer.refine(60).unwrap();
+        quality(&trainer.gaussians(), &camera, &picture, [0.0; 3]).unwrap().psnr
+    };
+    let (alike, favoured) = (error(0), error(60));
+    println!("new view: {alike:.2} dB, favoured {favoured:.2} dB");
+    assert!(favoured > alike + 0.3);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Projection: Gaussian → [`Splat`].
 //!
 //! t = W x + w (camera frame); mean = (fx tx/tz + cx, fy ty/tz + cy);
-//! Σ' = U Uᵀ + 0.3·1, U = J (W R) S, where R is the rotation of the quaternion, S the scales and
+//! Σ' = U Uᵀ + h·1, h = 0.3 (`View::low_pass`), U = J (W R) S, where R is the rotation of the quaternion, S the scales and
 //! J the Jacobian of the projection at t, with tx/tz and ty/tz clamped to 1.3 times the half field
 //! of view. In the exponent of two: p = log2 o − ½ log2(e) dᵀ Σ'⁻¹ d.
 //!
@@ -12,7 +12,7 @@ use std::f32::consts::LOG2_E;
 use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
-use crate::constants::{DC, FOV_MARGIN, LOG2_ALPHA_MIN, LOW_PASS, NEAR, OPACITY, POSITION, REST, ROTATION, SCALE};
+use crate::constants::{DC, FOV_MARGIN, LOG2_ALPHA_MIN, NEAR, OPACITY, POSITION, REST, ROTATION, SCALE};
 use crate::sh;
 use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Splat, View};
@@ -153,7 +153,8 @@ pub(super) fn geometry<V: F32x8>(view: &View, block: &Block) -> Geometry<V> {
         uu[1][k] = p[1][k] * scale[k];
     }
     let dot = |a: &[V; 3], b: &[V; 3]| a[2].mul_add(b[2], a[1].mul_add(b[1], a[0] * b[0]));
-    let covariance = [dot(&uu[0], &uu[0]) + s(LOW_PASS), dot(&uu[0], &uu[1]), dot(&uu[1], &uu[1]) + s(LOW_PASS)];
+    let low_pass = s(view.low_pass);
+    let covariance = [dot(&uu[0], &uu[0]) + low_pass, dot(&uu[0], &uu[1]), dot(&uu[1], &uu[1]) + low_pass];
     let determinant = covariance[0] * covariance[2] - covariance[1] * covariance[1];
     let valid = near.and(determinant.gt(V::zero()));
     let inverse = s(1.0) / determinant.select(valid, s(1.0));

@@ -18,7 +18,8 @@ struct Frame {
     pairs: u32,
     /// Where the loss of this iteration goes.
     slot: u32,
-    padding: u32,
+    /// Added to the projected covariance's diagonal, square pixels.
+    low_pass: f32,
 }
 
 /// A Gaussian on the image plane, 64 bytes; see `Splat` in stages.rs.

@@ -85,7 +85,7 @@ fn geometry(i: u32) -> Geometry {
     g.p1 = g.j.z * rows[1] + g.j.w * rows[2];
     g.u0 = g.p0 * g.scale;
     g.u1 = g.p1 * g.scale;
-    g.covariance = vec3(dot(g.u0, g.u0) + LOW_PASS, dot(g.u0, g.u1), dot(g.u1, g.u1) + LOW_PASS);
+    g.covariance = vec3(dot(g.u0, g.u0) + frame.low_pass, dot(g.u0, g.u1), dot(g.u1, g.u1) + frame.low_pass);
     let determinant = g.covariance.x * g.covariance.z - g.covariance.y * g.covariance.y;
     g.valid = in_front && determinant > 0.0;
     let inverse = 1.0 / select(1.0, determinant, g.valid);

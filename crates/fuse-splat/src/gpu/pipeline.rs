@@ -26,7 +26,7 @@ pub(super) struct Frame {
     pub gaussians: u32,
     pub pairs: u32,
     slot: u32,
-    padding: u32,
+    low_pass: f32,
 }
 
 /// What an image is made with, beside view and Gaussians.
@@ -106,7 +106,7 @@ impl Pipeline {
             gaussians: n as u32,
             pairs: 0,
             slot: settings.slot,
-            padding: 0,
+            low_pass: view.low_pass,
         };
         self.write_frame();
         Ok(())

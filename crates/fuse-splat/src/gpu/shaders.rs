@@ -81,7 +81,6 @@ fn constants() -> String {
     ];
     let numbers = [
         ("NEAR", c::NEAR),
-        ("LOW_PASS", c::LOW_PASS),
         ("FOV_MARGIN", c::FOV_MARGIN),
         ("ALPHA_MAX", c::ALPHA_MAX),
         ("LOG2_ALPHA_MIN", c::LOG2_ALPHA_MIN),
