@@ -98,8 +98,8 @@ class Store:
 
 def ours(log: Path, *arguments: Any) -> Any:
     """`peers/ours.py` in a process of its own."""
-    command = [sys.executable, OURS, *(str(a) for a in arguments)]
-    return json.loads(run(command, log, environment()).lines[-1][1])
+    ran = run([sys.executable, OURS, *arguments], log, environment())
+    return json.loads(ran.lines[-1][1])
 
 
 def measure_opensplat(build: Path, sources: Path, measure: list[str], store: Store) -> None:

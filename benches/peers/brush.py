@@ -66,7 +66,7 @@ def iteration(program: Path, scene: Path, folder: Path, short: int, long: int) -
     fixed = ["--refine-every", NEVER, "--export-every", NEVER, "--eval-every", NEVER]
     ran = [
         run(
-            [str(c) for c in (program, scene / "train", "--total-train-iters", n, *fixed)],
+            [program, scene / "train", "--total-train-iters", n, *fixed],
             folder / f"iteration-{n}.log",
         )
         for n in (short, long)

@@ -68,9 +68,9 @@ def iteration(
     """Seconds an iteration without densification, from the COLMAP points or from a map that OpenSplat
     wrote after `at` iterations."""
     folder.mkdir(parents=True, exist_ok=True)
-    command = [program, scene / "train", *FULL_SIZE, "-n", at + count, "--warmup-length", NEVER]
+    command: list[object] = [program, scene / "train", *FULL_SIZE, "-n", at + count, "--warmup-length", NEVER]
     command += ["-o", folder / "timed.ply"] + (["--resume", start] if start else [])
-    ran = run([str(c) for c in command], folder / f"iteration-{at}.log", _environment())
+    ran = run(command, folder / f"iteration-{at}.log", _environment())
     return {"seconds": step_seconds(ran.lines, discard), "peak_mib": ran.peak_mib}
 
 
@@ -78,7 +78,7 @@ def quality(program: Path, scene: Path, folder: Path, iterations: int, every: in
     """A training as OpenSplat does it, at full resolution; leaves a map every `every` iterations."""
     folder.mkdir(parents=True, exist_ok=True)
     command = [program, scene / "train", *FULL_SIZE, "-n", iterations, "-s", every]
-    return run([str(c) for c in [*command, "-o", folder / "map.ply"]], folder / "quality.log", _environment())
+    return run([*command, "-o", folder / "map.ply"], folder / "quality.log", _environment())
 
 
 def maps(folder: Path) -> dict[int, Path]:

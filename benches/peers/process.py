@@ -32,7 +32,7 @@ def environment(**more: str) -> dict[str, str]:
 
 
 def run(
-    command: Sequence[str | Path],
+    command: Sequence[object],
     log: Path,
     env: dict[str, str] | None = None,
     cwd: Path | None = None,
@@ -67,6 +67,6 @@ def run(
     if child.returncode != 0:
         last = next((text for _, text in reversed(lines) if text.strip()), "no output")
         raise Failed(
-            f"`{Path(command[0]).name}` ended with status {child.returncode}: {last} (see {log.name})"
+            f"`{Path(str(command[0])).name}` ended with status {child.returncode}: {last} (see {log.name})"
         )
     return Ran(lines, time.perf_counter() - begin, usage.ru_maxrss / 1024)
