@@ -99,7 +99,8 @@ class Store:
 def ours(log: Path, *arguments: Any) -> Any:
     """`peers/ours.py` in a process of its own."""
     ran = run([sys.executable, OURS, *arguments], log, environment())
-    return json.loads(ran.lines[-1][1])
+    found = json.loads(ran.lines[-1][1])
+    return found | {"others": ran.others} if isinstance(found, dict) else found
 
 
 def measure_opensplat(build: Path, sources: Path, measure: list[str], store: Store) -> None:
@@ -172,6 +173,16 @@ def measure_ours(build: Path, measure: list[str], store: Store) -> None:
         store.put("fuse", "quality", {"official": official, "fast": fast})
 
 
+def disturbed(results: dict[str, dict[str, Any]]) -> list[str]:
+    """Timings beside which other processes took more than a twentieth of a core: not to be trusted."""
+    return [
+        f"NOT QUIET: {row['others']:.2f} cores were taken by others while {name} was timed"
+        for name, measured in results.items()
+        for row in measured.get("iterations", {}).get("rows", [])
+        if row.get("others", 0) > 0.05
+    ]
+
+
 def machine() -> str:
     """Processor, cores, revision of ours."""
     info = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
@@ -218,6 +229,8 @@ def main() -> None:
     print(f"{machine()}\n\n{text}")
     if store.earlier():
         print("\nFrom earlier runs on this machine: " + "; ".join(store.earlier()) + ".")
+    for line in disturbed(store.all()):
+        print(line)
     (build / "table.md").write_text(text + "\n")
     (build / "table.json").write_text(json.dumps({"machine": machine(), "results": store.all()}, indent=1))
 

@@ -72,4 +72,4 @@ def iteration(program: Path, scene: Path, folder: Path, short: int, long: int) -
         for n in (short, long)
     ]
     seconds = (ran[1].seconds - ran[0].seconds) / (long - short)
-    return {"seconds": seconds, "peak_mib": ran[1].peak_mib}
+    return {"seconds": seconds, "peak_mib": ran[1].peak_mib, "others": ran[1].others}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,15 +14,26 @@ THREADS = 2
 
 @dataclass(frozen=True)
 class Ran:
-    """A child that ended well: its lines with the seconds since its start, and its peak memory."""
+    """A child that ended well: its lines with the seconds since its start, its peak memory, and how many
+    cores other processes took beside it, on average."""
 
     lines: list[tuple[float, str]]
     seconds: float
     peak_mib: float
+    others: float
 
 
 class Failed(Exception):
     """A peer that cannot be built or run; the message is what the table says."""
+
+
+def busy_seconds() -> float:
+    """Seconds that all cores together have worked since the machine started; 0 where Linux's count is not."""
+    stat = Path("/proc/stat")
+    if not stat.is_file():
+        return 0.0
+    user, nice, system, _idle, _wait, irq, soft, *_ = (int(n) for n in stat.read_text().split()[1:11])
+    return (user + nice + system + irq + soft) / os.sysconf("SC_CLK_TCK")
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -43,7 +54,7 @@ def run(
     `limit` seconds after its start, at its next line, it is ended.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    begin, lines = time.perf_counter(), []
+    begin, worked, lines = time.perf_counter(), busy_seconds(), []
     with log.open("w", encoding="utf-8") as file:
         child = subprocess.Popen(
             [str(c) for c in command],
@@ -69,4 +80,17 @@ def run(
         raise Failed(
             f"`{Path(str(command[0])).name}` ended with status {child.returncode}: {last} (see {log.name})"
         )
-    return Ran(lines, time.perf_counter() - begin, usage.ru_maxrss / 1024)
+    seconds = time.perf_counter() - begin
+    others = busy_seconds() - worked - usage.ru_utime - usage.ru_stime
+    return Ran(lines, seconds, usage.ru_maxrss / 1024, max(others, 0.0) / seconds)
+
+
+def replace_all(copy: Path, replacements: Mapping[str, Sequence[tuple[str, str]]]) -> None:
+    """Changes files of a copy, by path in it. Raises Failed where there is nothing to replace."""
+    for name, pairs in replacements.items():
+        text = (copy / name).read_text()
+        for old, new in pairs:
+            if old not in text:
+                raise Failed(f"{name} has no {old.strip()!r}: another version than this was written for")
+            text = text.replace(old, new)
+        (copy / name).write_text(text)

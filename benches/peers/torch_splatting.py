@@ -38,29 +38,16 @@ REPLACEMENTS = {
 }
 
 
-def patch(text: str, replacements: list[tuple[str, str]], name: str) -> str:
-    """Every replacement applied. Raises Failed where one finds nothing to replace."""
-    from peers.process import Failed
-
-    for old, new in replacements:
-        if old not in text:
-            raise Failed(f"{name} has no {old.strip()!r}: another version than this was written for")
-        text = text.replace(old, new)
-    return text
-
-
 def build(sources: Path, folder: Path) -> Path:
     """A copy for the CPU. Raises Failed without torch, or for another version of the sources."""
-    from peers.process import Failed
+    from peers.process import Failed, replace_all
 
     if importlib.util.find_spec("torch") is None:
         raise Failed("needs torch: `pip install torch`")
     copy = folder / "source"
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(sources, copy, ignore=shutil.ignore_patterns(".git", "*.zip"))
-    for name, replacements in REPLACEMENTS.items():
-        path = copy / name
-        path.write_text(patch(path.read_text(), replacements, name))
+    replace_all(copy, REPLACEMENTS)
     return copy
 
 
@@ -70,7 +57,7 @@ def iteration(copy: Path, scene: Path, folder: Path, count: int, discard: int) -
 
     arguments = ["--count", str(count), "--discard", str(discard)]
     ran = run([sys.executable, __file__, copy, scene, *arguments], folder / "iteration.log")
-    return json.loads(ran.lines[-1][1])
+    return json.loads(ran.lines[-1][1]) | {"others": ran.others}
 
 
 def _three_nearest(points: Any) -> Any:

@@ -8,8 +8,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 
-from peers import opensplat, scene, table, torch_splatting
-from peers.process import Failed
+from peers import opensplat, scene, table
+from peers.process import Failed, replace_all
 
 
 def image(number: int, name: str, points: int) -> bytes:
@@ -72,7 +72,9 @@ def test_the_table_divides_theirs_by_ours_at_the_same_gaussians() -> None:
     assert "needs torch" in table.render(results)
 
 
-def test_a_replacement_that_finds_nothing_is_an_error() -> None:
-    assert torch_splatting.patch("a.cuda()", [(".cuda()", "")], "f") == "a"
+def test_a_replacement_that_finds_nothing_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "f").write_text("a.cuda()")
+    replace_all(tmp_path, {"f": [(".cuda()", "")]})
+    assert (tmp_path / "f").read_text() == "a"
     with pytest.raises(Failed, match="another version"):
-        torch_splatting.patch("a", [(".cuda()", "")], "f")
+        replace_all(tmp_path, {"f": [(".cuda()", "")]})
