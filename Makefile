@@ -1,5 +1,6 @@
 # FUSE: `make demo` runs one whole episode, `make test` everything that must pass,
-# `make bench` the measurements. Everything is installed into .venv.
+# `make bench` the measurements, `make bench-peers PEERS=DIR` those against other trainers, whose
+# sources are in DIR. Everything is installed into .venv.
 
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3.10 python3))
 VENV := .venv
@@ -7,7 +8,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find crates src -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock pyproject.toml
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test bench install lint test-rust test-python test-wheel data weights clean
+.PHONY: demo test bench bench-peers install lint test-rust test-python test-wheel data weights clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -60,6 +61,11 @@ bench: install
 	$(BIN)/python benches/map_quality.py
 	$(BIN)/python benches/scaling.py
 	$(BIN)/python benches/segmenter.py
+
+# Against OpenSplat, torch-splatting and Brush: see benches/peers.py for what their builds need.
+bench-peers: install
+	@test -d "$(PEERS)" || { echo "PEERS must be a folder with checkouts: OpenSplat, torch-splatting, brush" >&2; exit 2; }
+	$(BIN)/python benches/peers.py --sources $(PEERS) $(PEERS_OPTIONS)
 
 # Remakes the shipped objects and development episodes from their recorded seeds.
 data: install
