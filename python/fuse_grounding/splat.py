@@ -102,8 +102,8 @@ class TrainerConfig:
     """So many iterations at the end of a call look at the views at full resolution, those before at half,
     which costs a third; None: all at full resolution, as in the original."""
     matched_low_pass: Flag = False
-    """Views at half the resolution are drawn as the means of full pixels would be, with a narrower low-pass
-    in their wider pixels; otherwise Gaussians shrink there, and grow again at full resolution; ours."""
+    """Views at half the resolution are drawn with a narrower low-pass in their wider pixels, nearer to the
+    means of full pixels, so that Gaussians shrink less there, to grow again at full resolution; ours."""
     step_iterations: Count = 1
     """Iterations of the original that one step stands for: so many times fewer steps, and all that is due by
     iteration comes as often in a call as ever; ours."""

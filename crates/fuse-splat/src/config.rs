@@ -60,9 +60,9 @@ pub struct TrainerConfig {
     /// So many iterations at the end of a call look at the views at full resolution, those before at
     /// half of it, which costs a third. `None`: all at full resolution, as in the original.
     pub fine_iterations: Option<u32>,
-    /// Views at half the resolution are drawn as the means of full pixels would be, with a narrower
-    /// low-pass in their wider pixels; otherwise Gaussians shrink there, and grow again at full
-    /// resolution (ours).
+    /// Views at half the resolution are drawn with the low-pass of full pixels and of their mean, which
+    /// is narrower in their wider pixels: nearer to the means of full pixels, so that Gaussians shrink
+    /// less there, to grow again at full resolution (ours).
     pub matched_low_pass: bool,
     /// Iterations of the original that one step stands for: a call takes so many times fewer steps,
     /// and all that is due by iteration comes as often in it as ever. Calls whose lengths are

@@ -51,7 +51,8 @@ impl View {
     }
 
     /// The same camera with pixels twice as wide and high. `matched`: with the low-pass of the means
-    /// of two by two pixels, which is their own and the variance of two neighbours, a quarter. Opacity is left as it is.
+    /// of two by two pixels, which is their own and the variance of two neighbours, a quarter. (A
+    /// wider splat would also be less opaque; opacity is left as it is.)
     pub fn halved(&self, matched: bool) -> Self {
         Self {
             width: self.width / 2,

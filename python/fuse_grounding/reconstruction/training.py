@@ -54,7 +54,9 @@ class TrainOptions:
     """A picture, photo beside rendering, renewed at every measurement."""
 
     def config(self) -> TrainerConfig:
-        """The trainer's settings; under `fast`, rates fall, and densification ends, with the training.
+        """The trainer's settings; under `fast`, rates fall, and densification ends, with the training, a
+        step stands for two iterations, and the first three fifths look at half the resolution
+        (docs/performance.md says what that saves and costs).
 
         Raises InputError for a schedule that is not one of `SCHEDULES`.
         """
@@ -69,6 +71,10 @@ class TrainOptions:
             max_gaussians=MAX_GAUSSIANS if self.max_gaussians is None else self.max_gaussians,
             position_steps=max(self.iterations, 1),
             densify_end=min(15_000, self.iterations - self.iterations // 4),
+            step_iterations=2,
+            rate_gain=2.0,
+            fine_iterations=self.iterations * 2 // 5,
+            matched_low_pass=True,
         )
 
 

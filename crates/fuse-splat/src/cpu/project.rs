@@ -1,9 +1,9 @@
 //! Projection: Gaussian → [`Splat`].
 //!
 //! t = W x + w (camera frame); mean = (fx tx/tz + cx, fy ty/tz + cy);
-//! Σ' = U Uᵀ + h·1, h = 0.3 (`View::low_pass`), U = J (W R) S, where R is the rotation of the quaternion, S the scales and
-//! J the Jacobian of the projection at t, with tx/tz and ty/tz clamped to 1.3 times the half field
-//! of view. In the exponent of two: p = log2 o − ½ log2(e) dᵀ Σ'⁻¹ d.
+//! Σ' = U Uᵀ + h·1, U = J (W R) S, where h = 0.3 (`View::low_pass`), R is the rotation of the
+//! quaternion, S the scales and J the Jacobian of the projection at t, with tx/tz and ty/tz clamped
+//! to 1.3 times the half field of view. In the exponent of two: p = log2 o − ½ log2(e) dᵀ Σ'⁻¹ d.
 //!
 //! One block of eight Gaussians is a vector; blocks are independent of one another.
 
