@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from fuse_grounding import splat
-from fuse_grounding.config import MapConfig
 from fuse_grounding.reconstruction.dataset import Dataset, View
+from fuse_grounding.reconstruction.training import TrainOptions
 
 NEVER = 2**31
 HOLDOUT = 8
@@ -57,11 +57,9 @@ def iteration(scene: Path, ply: Path | None, discard: int, count: int, rounds: i
 
 
 def quality(scene: Path, schedule: str, iterations: int, every: int) -> dict[str, Any]:
-    """A training of so many iterations in one go; measured on the way every `every` iterations (0: not).
-    Measuring on the way does not count as training."""
-    config = MapConfig.model_validate(
-        {"schedule": schedule, "max_gaussians": splat.OFFICIAL["max_gaussians"]}
-    )
+    """As `fuse splat train` does it, in one go; measured on the way every `every` iterations (0: not), which
+    does not count as training."""
+    config = TrainOptions(iterations=iterations, schedule=schedule).config()
     training, held_out = trainer(scene, config, None), judges(scene)
     curve, seconds, at = [], 0.0, 0
     while at < iterations:
