@@ -13,7 +13,7 @@ use super::intersect::{CHUNK, Chunk};
 use super::project::{self, Geometry};
 use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, ROTATION, SCALE};
 use crate::sh;
-use crate::simd::{F32x8, Kernel, dispatch, prefetch};
+use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Density, PairGradient, Splat, View};
 use crate::table::{Block, LANES, Table};
 
@@ -129,7 +129,6 @@ impl<S: Sink> Kernel for Chained<'_, S> {
         let view = self.from.view;
         let splats = &self.from.splats[self.chunk * CHUNK..];
         for block in 0..self.sink.blocks() {
-            prefetch_block(&self.from, self.chunk, block + 2);
             let mut sums = [[0.0; LANES]; 9];
             let mut visible = [0.0; LANES];
             let first = block * LANES;
@@ -158,20 +157,6 @@ impl<S: Sink> Kernel for Chained<'_, S> {
                 }
             }
         }
-    }
-}
-
-/// Asks for what [`gather`] will read for a block: one Gaussian's pairs lie anywhere.
-#[inline(always)]
-fn prefetch_block(from: &Gathered<'_>, chunk: usize, block: usize) {
-    let Chunk { entries, starts } = &from.chunks[chunk];
-    let first = (block * LANES).min(starts.len() - 1);
-    let last = (first + LANES).min(starts.len() - 1);
-    for entry in &entries[starts[first] as usize..starts[last] as usize] {
-        // Nine floats may lie on two lines.
-        let values = from.gradients.as_flattened();
-        prefetch(values, entry.slot as usize * 9);
-        prefetch(values, entry.slot as usize * 9 + 8);
     }
 }
 
