@@ -54,6 +54,16 @@ def _disk() -> Check:
     return Check("free disk", free >= 1, f"{free:.1f} GiB here", "a run folder takes a few MB")
 
 
+def _processors() -> Check:
+    """Threads, the level in use, and whether the one that is asked for has a name."""
+    wanted, levels = os.environ.get("FUSE_SIMD", ""), ("", "portable", "avx2+fma", "avx512")
+    found = f"{os.cpu_count()} threads, SIMD level {_core.simd_level}"
+    if wanted in levels:
+        return Check("processors", True, found)
+    hint = f"FUSE_SIMD is `{wanted}`, which names no level; it may be {', '.join(levels[1:])}"
+    return Check("processors", False, found, hint)
+
+
 def _gpu() -> Check:
     """A GPU is never needed: without one, the line says what was found and why it is not taken."""
     try:
@@ -66,11 +76,10 @@ def _gpu() -> Check:
 
 def examine() -> list[Check]:
     """All checks, in the order of the report."""
-    level = _core.simd_level
     return [
         Check("fuse-grounding", True, _core.__version__),
         Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
-        Check("processors", True, f"{os.cpu_count()} threads, SIMD level {level}"),
+        _processors(),
         _gpu(),
         _memory(),
         _disk(),
