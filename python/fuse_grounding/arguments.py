@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,3 +35,10 @@ def instance_of(name: str, value: Any, kind: type) -> None:
     """Raises InputError unless `value` is a `kind`."""
     if not isinstance(value, kind):
         raise InputError(f"{name} must be a {kind.__name__}, found {type(value).__name__}")
+
+
+def check_simd_level() -> None:
+    """Refuses an environment variable `FUSE_SIMD` that names no level: who asks for one asks for its bits."""
+    wanted, levels = os.environ.get("FUSE_SIMD", ""), ("portable", "avx2+fma", "avx512")
+    if wanted and wanted not in levels:
+        raise InputError(f"FUSE_SIMD must be one of {', '.join(levels)}, found `{wanted}`")

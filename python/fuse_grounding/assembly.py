@@ -49,11 +49,15 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     announcements = mapping.check(config.map) if method.maps else []
     segmenter, weights = make_segmenter(config.segmenter)
 
+    # Taken once: what the record names is what every map of the run is trained on.
+    device = splat.device_name(config.map.device if method.maps else "cpu")
+    map_config = config.map.model_copy(update={"device": device.split(" ")[0]})
+
     def spatial() -> Spatial | None:
         if not method.maps:
             return None
         registrar = make_registrar(config.registration)
-        return Spatial(registrar, GaussianMap(registrar, config.map))
+        return Spatial(registrar, GaussianMap(registrar, map_config))
 
     parts = Parts(
         understand=knowledge.parse,
@@ -63,7 +67,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         spatial=spatial,
         look=lambda situation, rendered: evidence_maps(situation, rendered, config),
         provenance=provenance(
-            splat.device_name(config.map.device),
+            device,
             segmenter=weights,
             **({} if config.gate.planner is None else {"planner": config.gate.planner}),
         ),

@@ -54,24 +54,17 @@ def _disk() -> Check:
     return Check("free disk", free >= 1, f"{free:.1f} GiB here", "a run folder takes a few MB")
 
 
-def _processors() -> Check:
-    """Threads, the level in use, and whether the one that is asked for has a name."""
-    wanted, levels = os.environ.get("FUSE_SIMD", ""), ("", "portable", "avx2+fma", "avx512")
-    found = f"{os.cpu_count()} threads, SIMD level {_core.simd_level}"
-    if wanted in levels:
-        return Check("processors", True, found)
-    hint = f"FUSE_SIMD is `{wanted}`, which names no level; it may be {', '.join(levels[1:])}"
-    return Check("processors", False, found, hint)
-
-
 def _gpu() -> Check:
-    """A GPU is never needed: without one, the line says what was found and why it is not taken."""
+    """A GPU is never needed: without one, the line says what was found and why it is not taken. One that is
+    there but fails is told, since `auto` does not pass it over."""
     try:
-        return Check(
-            "gpu", True, f"`auto` takes {splat.device_name()}; `gpu` takes {splat.device_name('gpu')}"
-        )
+        auto = splat.device_name("auto")
     except FuseError as error:
-        return Check("gpu", True, f"{error}; maps are trained on {splat.device_name('cpu')}")
+        return Check("gpu", False, f"{error}", "`auto` and `gpu` fail with it; `cpu` works")
+    try:
+        return Check("gpu", True, f"`auto` takes {auto}; `gpu` takes {splat.device_name('gpu')}")
+    except FuseError as error:
+        return Check("gpu", True, f"{error}; maps are trained on {auto}")
 
 
 def examine() -> list[Check]:
@@ -79,7 +72,7 @@ def examine() -> list[Check]:
     return [
         Check("fuse-grounding", True, _core.__version__),
         Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
-        _processors(),
+        Check("processors", True, f"{os.cpu_count()} threads, SIMD level {_core.simd_level}"),
         _gpu(),
         _memory(),
         _disk(),

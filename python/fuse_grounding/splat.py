@@ -128,7 +128,7 @@ class TrainerConfig:
 OFFICIAL: dict[str, Any] = {
     "prune_fraction": 0.1,
     "opacity_reset_margin": 0,
-    "max_gaussians": 1_000_000,
+    "max_gaussians": 2**31 - 1,
     "fine_iterations": None,
     "matched_low_pass": False,
     "step_iterations": 1,
@@ -299,9 +299,10 @@ class Trainer:
         return self._inner.add_points(_triples("xyz", xyz), _triples("rgb", rgb))
 
     def refine(self, iterations: int, following: int = 0) -> RefineStats:
-        """Runs more iterations over all views; every view comes once before any comes again.
+        """Runs more iterations over all views; without `favour_new` every view comes once before any again.
 
-        `following` more are to come in later calls: together they do, bit for bit, what one long call does.
+        `following` more are to come in later calls: together they do, bit for bit, what one long call does,
+        if the calls' lengths are multiples of `step_iterations`.
         """
         stats: dict[str, Any] = self._inner.refine(
             whole("iterations", iterations), whole("following", following)
@@ -322,7 +323,7 @@ class Trainer:
 
     @property
     def device(self) -> str:
-        """What it runs on, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`: what decides the last bits."""
+        """What it runs on, as `cpu (avx2+fma)` or `gpu (NVIDIA L4, Vulkan)`: what decides the last bits."""
         return self._inner.device()
 
     @property
@@ -381,7 +382,7 @@ def _image(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def device_name(device: str = "auto") -> str:
-    """What `device` takes on this machine, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`.
+    """What `device` takes on this machine, as `cpu (avx2+fma)` or `gpu (NVIDIA L4, Vulkan)`.
 
     Raises InputError for another wish than `cpu`, `gpu` and `auto`, and for `gpu` where there is none.
     """

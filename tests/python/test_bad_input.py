@@ -332,3 +332,11 @@ def test_a_camera_takes_any_numbers_and_names_what_it_cannot_take():
     for changed, message in wrong:
         with pytest.raises(InputError, match=message):
             made(**changed)
+
+
+def test_a_simd_level_without_a_name_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("FUSE_SIMD", "avx2")
+    assert execute(["doctor"]) == 2
+    assert "FUSE_SIMD must be one of portable, avx2+fma, avx512, found `avx2`" in capsys.readouterr().err

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 
 use crate::error::raise;
 
-/// Runs `work` without the GIL; its error becomes an `InputError` (see [`raise`]), a panic a `FuseError`-less
+/// Runs `work` without the GIL; its error becomes an exception (see [`raise`]), a panic a `FuseError`-less
 /// `RuntimeError` that asks for a report.
 pub fn enter<T: Send, E: std::fmt::Display + Send + 'static>(
     py: Python<'_>,

@@ -164,6 +164,11 @@ impl TrainerConfig {
         if let Some((name, v)) = counts.iter().find(|(_, v)| *v == 0) {
             return refuse(name, v.to_string(), "at least 1");
         }
+        let most = self.densify_interval.min(self.opacity_reset_interval);
+        if self.step_iterations > most {
+            let expected = format!("at most {most}, the shorter of densify_interval and opacity_reset_interval");
+            return refuse("step_iterations", self.step_iterations.to_string(), &expected);
+        }
         if self.degree > MAX_DEGREE {
             return refuse("degree", self.degree.to_string(), "at most 3");
         }
@@ -185,6 +190,8 @@ mod tests {
         assert_eq!(message(config), "lambda_dssim must be in [0, 1], found 1.5");
         let config = TrainerConfig { densify_interval: 0, ..TrainerConfig::default() };
         assert_eq!(message(config), "densify_interval must be at least 1, found 0");
+        let config = TrainerConfig { step_iterations: 101, ..TrainerConfig::default() };
+        assert!(message(config).starts_with("step_iterations must be at most 100, the shorter of"));
         let config = TrainerConfig { degree: 4, ..TrainerConfig::default() };
         assert_eq!(message(config), "degree must be at most 3, found 4");
     }

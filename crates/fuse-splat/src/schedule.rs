@@ -8,8 +8,8 @@ const REST_FRACTION: f32 = 1.0 / 20.0;
 
 /// Learning rate of each parameter in iteration `i` (from 1); `extent` in metres.
 ///
-/// Position: exp((1 − τ) ln r₀ + τ ln r₁) · extent, τ = min(i/steps, 1).
-pub(crate) fn rates(config: &TrainerConfig, iteration: u32, extent: f32) -> [f32; PARAMETERS] {
+/// `step`: iterations that this step stands for. Position: exp((1 − τ) ln r₀ + τ ln r₁) · extent, τ = min(i/steps, 1).
+pub(crate) fn rates(config: &TrainerConfig, iteration: u32, step: u32, extent: f32) -> [f32; PARAMETERS] {
     let tau = (iteration as f32 / config.position_steps as f32).min(1.0);
     let position = ((1.0 - tau) * config.position_rate.ln() + tau * config.position_rate_end.ln()).exp();
     let mut rates = [config.feature_rate * REST_FRACTION; PARAMETERS];
@@ -18,7 +18,9 @@ pub(crate) fn rates(config: &TrainerConfig, iteration: u32, extent: f32) -> [f32
     rates[ROTATION..ROTATION + 4].fill(config.rotation_rate);
     rates[OPACITY] = config.opacity_rate;
     rates[DC..REST].fill(config.feature_rate);
-    rates.map(|rate| config.rate_gain * rate)
+    // The last step of a call may stand for fewer iterations than the others.
+    let gain = config.rate_gain * step as f32 / config.step_iterations as f32;
+    rates.map(|rate| gain * rate)
 }
 
 /// Degree of the harmonics in iteration `i` (from 1).
@@ -55,11 +57,11 @@ mod tests {
     #[test]
     fn the_official_schedule() {
         let c = TrainerConfig::default();
-        let position = |i| rates(&c, i, 2.0)[POSITION + 2];
+        let position = |i| rates(&c, i, 1, 2.0)[POSITION + 2];
         assert!((position(0) / 3.2e-4 - 1.0).abs() < 1e-5);
         assert!((position(15_000) / 3.2e-5 - 1.0).abs() < 1e-4);
         assert!((position(50_000) / 3.2e-6 - 1.0).abs() < 1e-4);
-        let r = rates(&c, 1, 1.0);
+        let r = rates(&c, 1, 1, 1.0);
         assert_eq!(
             [r[SCALE], r[ROTATION + 3], r[OPACITY], r[DC + 2], r[REST], r[58]],
             [5e-3, 1e-3, 2.5e-2, 2.5e-3, 1.25e-4, 1.25e-4]

@@ -109,7 +109,7 @@ impl Trainer {
         Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
     }
 
-    /// What decides the last bits, as `cpu (avx2)` or `gpu (NVIDIA L4, Vulkan)`.
+    /// What decides the last bits, as `cpu (avx2+fma)` or `gpu (NVIDIA L4, Vulkan)`.
     pub fn runs_on(&self) -> String {
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
@@ -180,7 +180,7 @@ impl Trainer {
         self.views.len()
     }
 
-    /// Runs `iterations` more, each on one view; without [`TrainerConfig::favour_new`] every view
+    /// Runs `iterations` more, each step on one view; without [`TrainerConfig::favour_new`] every view
     /// comes once before any comes again.
     ///
     /// # Errors
@@ -189,8 +189,9 @@ impl Trainer {
         self.refine_while(iterations, 0, &mut || true)
     }
 
-    /// [`Self::refine`] that asks before each iteration whether to go on. `following` more are to
-    /// come in later calls: calls that follow one another do what one long call does.
+    /// [`Self::refine`] that asks before each step whether to go on. `following` more are to come in
+    /// later calls: calls that follow one another do what one long call does, if their lengths are
+    /// multiples of [`TrainerConfig::step_iterations`].
     ///
     /// # Errors
     /// As [`Self::refine`].
@@ -217,7 +218,7 @@ impl Trainer {
             self.iteration += step;
             self.steps += 1;
             stats.iterations += step;
-            losses.extend(self.iterate(extent, left)?);
+            losses.extend(self.iterate(extent, left, step)?);
             self.densify_due |= schedule::densify_after(&self.config, self.iteration, step);
             self.reset_due |= schedule::reset_after(&self.config, self.iteration, step);
         }
@@ -290,12 +291,12 @@ impl Trainer {
     }
 
     /// One iteration, with so many `left`, itself among them; returns the loss if it is known already.
-    fn iterate(&mut self, extent: f32, left: u32) -> Result<Option<f64>, SplatError> {
+    fn iterate(&mut self, extent: f32, left: u32, step: u32) -> Result<Option<f64>, SplatError> {
         let index = self.order.next(self.views.len(), self.config.favour_new, &mut self.rng);
         let (_half, view, target) = self.views[index].at(schedule::coarse(&self.config, left));
         let degree = schedule::degree(&self.config, self.iteration);
         let background = self.config.background;
-        let rates = schedule::rates(&self.config, self.iteration, extent);
+        let rates = schedule::rates(&self.config, self.iteration, step, extent);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &mut self.gpu {
             let lambda = self.config.lambda_dssim;

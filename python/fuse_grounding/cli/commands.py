@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from fuse_grounding._core import __version__
+from fuse_grounding.arguments import check_simd_level
 from fuse_grounding.errors import FuseError, InputError
 
 app = typer.Typer(
@@ -56,6 +57,7 @@ _UsageError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "
 def attempt(arguments: Sequence[str] | None) -> int:
     """Runs the command line; what goes wrong becomes one sentence and an exit status."""
     try:
+        check_simd_level()
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
         return status if isinstance(status, int) else 0
     except InputError as error:

@@ -1,4 +1,4 @@
-//! What this process draws and trains on, by a caller's wish: opened once, kept to its end.
+//! What this process draws and trains on, by a caller's wish: opened once a wish, kept to its end.
 
 use std::fmt;
 use std::sync::{Mutex, PoisonError};
