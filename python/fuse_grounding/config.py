@@ -146,8 +146,8 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
     schedule: Literal["fast", "official"] = "fast"
     """`official`: trainer's settings that are not given are those of `splat.TrainerConfig.official`. Ours."""
     device: Literal["cpu", "gpu", "auto"] = "cpu"
-    """As `splat.Trainer`'s: what was taken is in the record. The CPU gives everybody the same map, at one SIMD
-    level. Ours."""
+    """As `splat.Trainer`'s: what was taken is in the record. At one SIMD level, the CPU gives everybody the
+    same map. Ours."""
     fine_iterations: int | None = Field(default=240, ge=0)
     """As there, and so are the next three; docs/performance.md has their measurements. Ours."""
     matched_low_pass: Flag = True
