@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import resource
 import sys
 import time
@@ -79,9 +80,24 @@ def judge(scene: Path, background: tuple[float, ...], maps: list[Path]) -> list[
     """Maps of others, drawn as ours are, over the background that they were trained with."""
     held_out, rows = judges(scene), []
     for path in maps:
+        lost = drop_not_finite(path)
         gaussians = splat.Gaussians.from_ply(path)
-        rows.append({"psnr": psnr(gaussians, held_out, background), "gaussians": len(gaussians)})
+        row = {"psnr": psnr(gaussians, held_out, background), "gaussians": len(gaussians)}
+        rows.append(row | ({"not_finite": lost} if lost else {}))
     return rows
+
+
+def drop_not_finite(path: Path) -> int:
+    """Rewrites a binary PLY of floats without the Gaussians that hold NaN or infinity, which a viewer does
+    not draw and we refuse; returns how many."""
+    head, mark, body = path.read_bytes().partition(b"end_header\n")
+    count = int(re.search(rb"element vertex (\d+)", head)[1])  # type: ignore[index]
+    rows = np.frombuffer(body, "<f4").reshape(count, -1)
+    kept = rows[np.isfinite(rows).all(axis=1)]
+    if len(kept) < count:
+        head = head.replace(b"element vertex %d" % count, b"element vertex %d" % len(kept))
+        path.write_bytes(head + mark + kept.tobytes())
+    return count - len(kept)
 
 
 def main() -> None:
