@@ -60,6 +60,50 @@ categories! {
     Sponge "sponge" "sponge" 0.75,
     Towel "towel" "towel" 1.0,
     Book "book" "book" 0.8,
+    BoxCutter "box_cutter" "box cutter" 0.85,
+    Fork "fork" "fork" 0.9,
+    Whisk "whisk" "whisk" 0.9,
+    Spatula "spatula" "spatula" 0.85,
+    Chopsticks "chopsticks" "chopsticks" 0.95,
+    Tongs "tongs" "tongs" 0.95,
+    MeasuringCup "measuring_cup" "measuring cup" 0.93,
+    WineGlass "wine_glass" "wine glass" 0.93,
+    Plate "plate" "plate" 0.98,
+    Tray "tray" "serving tray" 0.98,
+    Colander "colander" "colander" 0.92,
+    Sieve "sieve" "sieve" 0.7,
+    Grater "grater" "box grater" 0.8,
+    RollingPin "rolling_pin" "rolling pin" 0.95,
+    Wrench "wrench" "wrench" 0.9,
+    Pliers "pliers" "pliers" 0.95,
+    TapeMeasure "tape_measure" "tape measure" 0.7,
+    Pen "pen" "pen" 0.4,
+    Pencil "pencil" "pencil" 0.3,
+    Eraser "eraser" "eraser" 0.75,
+    ScrubBrush "scrub_brush" "scrub brush" 0.6,
+    Stapler "stapler" "stapler" 0.85,
+    BinderClip "binder_clip" "binder clip" 0.6,
+    TapeDispenser "tape_dispenser" "tape dispenser" 0.95,
+    Flashlight "flashlight" "flashlight" 0.7,
+    Candle "candle" "candle" 0.97,
+    Can "can" "food can" 0.85,
+}
+
+/// How many categories, from the first on, the shipped network tells apart.
+const RECOGNISED: usize = 18;
+
+impl Category {
+    /// The categories that the shipped network tells apart, that training pictures show and that
+    /// episodes are made of. A retrained network that knows more raises the count; until then the
+    /// others are in the catalogue alone, so that recorded episodes keep their bytes.
+    pub fn recognised() -> &'static [Self] {
+        &Self::ALL[..RECOGNISED]
+    }
+
+    /// Whether the shipped network tells it apart.
+    pub fn is_recognised(self) -> bool {
+        Self::recognised().contains(&self)
+    }
 }
 
 impl fmt::Display for Category {
