@@ -63,7 +63,7 @@ pub fn scrub_brush(w: &mut Workshop) {
     let hair = Canvas::new(32, 16, pale).each(|uv, c| c * (0.72 + 0.4 * ((uv.x * 16.0 * TAU).sin() * 0.5 + 0.5)));
     let hairs = w.material(|_| material("foam", &hair, 0.0, 0.9));
     let columns = (head / 0.0112) as usize;
-    let rows = 5;
+    let rows = 4;
     let splay = w.dice.range(0.05, 0.22);
     for i in 0..columns {
         let x = x0 + head * (i as f32 + 0.5) / columns as f32;
@@ -78,7 +78,7 @@ pub fn scrub_brush(w: &mut Workshop) {
             let from = Vec3::new(x, y, bristle + 0.002);
             let to = Vec3::new(x + lean.x, y + lean.y, bristle - long);
             let tuft =
-                tube(&[from, to], Vec3::X, 6, [Tip::Flat, Tip::Flat], |t| (0.0029 + 0.0014 * t, 0.0029 + 0.0014 * t));
+                tube(&[from, to], Vec3::X, 5, [Tip::Flat, Tip::Flat], |t| (0.0029 + 0.0014 * t, 0.0029 + 0.0014 * t));
             w.add(tuft, hairs, 35.0);
         }
     }

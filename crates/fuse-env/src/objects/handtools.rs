@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 
 use super::Workshop;
 use super::finish::{bright_steel, material, plastic, rubber, steel};
-use super::parts::{about_x, add_steel, dark_plastic, disc, plain, rounded, torus, vivid_plastic, vivid_rubber};
+use super::parts::{about_x, add_steel, bar, dark_plastic, disc, plain, rounded, torus, vivid_plastic, vivid_rubber};
 use super::shape::Surface;
 use super::sweep::{Tip, along, extrude, revolve, rounded_box, spline, superellipse, sweep, tube};
 use super::texture::Canvas;
@@ -35,8 +35,8 @@ pub fn box_cutter(w: &mut Workshop) {
     });
     let outline: Vec<Vec2> = top.iter().copied().chain(low).collect();
     let body = if w.dice.chance(0.2) { dark_plastic(w) } else { vivid_plastic(w) };
-    let bar = extrude(&rounded(&outline, 0.003, 2), -thick / 2.0, thick / 2.0, 0.0022);
-    w.add(bar.uv_box(Vec2::splat(0.05)), body, 40.0);
+    let shell = extrude(&rounded(&outline, 0.003, 1), -thick / 2.0, thick / 2.0, 0.0022);
+    w.add(shell.uv_box(Vec2::splat(0.05)), body, 40.0);
     // A channel in the upper face for the slider.
     let dark = dark_plastic(w);
     let slot = rounded_box(Vec3::new(long * 0.56, half * 0.62, 0.0012), half * 0.2, 0.0003);
@@ -50,7 +50,7 @@ pub fn box_cutter(w: &mut Workshop) {
         40.0,
     );
     for k in 0..4 {
-        let rib = rounded_box(Vec3::new(0.0016, half * 0.86, 0.0016), 0.0005, 0.0004);
+        let rib = bar(Vec3::new(0.0016, half * 0.86, 0.0016));
         w.add(
             rib.moved(Vec3::new(long * slide_at - 0.006 + 0.004 * k as f32, 0.0, thick / 2.0 + 0.0045)),
             knob_color,
@@ -82,8 +82,7 @@ pub fn box_cutter(w: &mut Workshop) {
         let line = plain(w, "steel", Vec3::splat(0.35), 0.5);
         for k in 0..4 {
             let x = front + reach * (0.15 + 0.27 * k as f32);
-            let score = rounded_box(Vec3::new(0.0006, edge * 2.0, 0.0012), 0.0002, 0.0001)
-                .map(|p| Vec3::new(p.x + x - p.y * 0.55, p.y, p.z));
+            let score = bar(Vec3::new(0.0006, edge * 2.0, 0.0012)).map(|p| Vec3::new(p.x + x - p.y * 0.55, p.y, p.z));
             w.add(score, line, 30.0);
         }
     }
@@ -118,7 +117,8 @@ pub fn wrench(w: &mut Workshop) {
     let head = w.dice.range(0.0165, 0.0225);
     let gap = head * w.dice.range(0.50, 0.60);
     let thick = w.dice.range(0.0068, 0.0095);
-    let metal = if w.dice.chance(0.2) { plain(w, "steel", Vec3::splat(0.30), 0.5) } else { w.material(steel) };
+    let dark = w.dice.tint(Vec3::splat(0.30), 0.2);
+    let metal = if w.dice.chance(0.2) { plain(w, "steel", dark, 0.5) } else { w.material(steel) };
     let skin = |s: Surface| s.uv_box(Vec2::splat(0.06));
     let (x0, x1) = (-length / 2.0 + head, length / 2.0 - head);
     let lean = if shape == "straight" { 0.0 } else { w.dice.range(0.18, 0.30) };
@@ -157,7 +157,7 @@ pub fn wrench(w: &mut Workshop) {
     } else {
         // The size stamped into a recess.
         let panel = rounded_box(Vec3::new((x1 - end) * 0.5, wide * 0.9, thick * 0.88), 0.002, 0.0006);
-        let stamp = plain(w, "steel", Vec3::splat(0.55), 0.5);
+        let stamp = plain(w, "steel", dark * 1.8, 0.5);
         w.add(panel.moved(Vec3::X * (x1 + end) / 2.0), stamp, 40.0);
     }
     w.settle();
@@ -211,10 +211,10 @@ pub fn pliers(w: &mut Workshop) {
             ],
             6,
         );
-        let bar = sweep(&path, Vec3::Z, super::shape::Ends::Capped, |_, t| {
+        let arm = sweep(&path, Vec3::Z, super::shape::Ends::Capped, |_, t| {
             superellipse(joint * along(&[(0.0, 0.42), (0.3, 0.40), (1.0, 0.28)], t), thick * 0.85, 4.0, 12)
         });
-        w.add(bar.map(swing).uv_box(Vec2::splat(0.06)), head, 40.0);
+        w.add(arm.map(swing).uv_box(Vec2::splat(0.06)), head, 40.0);
         let heavy = if matches!(shape, "heavy" | "snub") { 1.2 } else { 1.0 };
         let sleeve = tube(&path[8..], Vec3::Z, 14, [Tip::Flat, Tip::Round], |t| {
             let s = along(&[(0.0, 1.1), (0.08, 0.92), (0.5, 1.05), (1.0, 0.85)], t) * heavy;

@@ -7,7 +7,7 @@ use glam::{Vec2, Vec3};
 use super::Workshop;
 use super::cutlery::{bar, round_ends};
 use super::finish::{plastic, rubber, steel, wood};
-use super::parts::{about_x, add_steel, disc, grip_stuff, torus, vivid_plastic, vivid_rubber};
+use super::parts::{about_x, add_steel, disc, grip_stuff, torus, vivid_plastic, vivid_rubber, weigh_alike};
 use super::shape::{Ends, Surface};
 use super::sweep::{Tip, along, revolve, rounded_box, spline, superellipse, sweep, tube};
 
@@ -77,6 +77,7 @@ pub fn chopsticks(w: &mut Workshop) {
     let low = if shape == "flat" { 0.6 } else { 1.0 };
     let stuff = if w.dice.chance(0.5) { w.material(wood) } else { vivid_plastic(w) };
     let second = if w.dice.chance(0.6) { vivid_plastic(w) } else { stuff };
+    weigh_alike(w, second, stuff);
     let band = w.dice.range(0.55, 0.85);
     let spread = w.dice.range(0.03, 0.07);
     for side in [-1.0f32, 1.0] {
@@ -305,7 +306,7 @@ pub fn tongs(w: &mut Workshop) {
 pub fn rolling_pin(w: &mut Workshop) {
     let shape = w.shape();
     let barrel = w.dice.range(0.23, 0.27);
-    let r = w.dice.range(0.023, 0.031);
+    let r = w.dice.range(0.023, 0.031) * if shape == "french" { 0.85 } else { 1.0 };
     let body = if shape == "marble" {
         let tone = w.dice.tint(Vec3::splat(0.86), 0.06);
         w.material(|d| plastic(d, tone))
@@ -313,8 +314,8 @@ pub fn rolling_pin(w: &mut Workshop) {
         w.material(wood)
     };
     let half = barrel / 2.0;
-    let (round, slope) = (w.dice.any(0.003, 0.008), if shape == "french" { 0.30 } else { 0.0 });
-    let half = if shape == "french" { half * 1.45 } else { half };
+    let (round, slope) = (w.dice.any(0.003, 0.008), if shape == "french" { 0.42 } else { 0.0 });
+    let half = if shape == "french" { half * 1.6 } else { half };
     let mut profile = vec![Vec2::new(0.0, -half)];
     profile.extend((0..=20).map(|i| {
         let t = i as f32 / 10.0 - 1.0;

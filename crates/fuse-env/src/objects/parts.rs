@@ -46,6 +46,13 @@ pub fn grip_stuff(w: &mut Workshop, wooden: f32, dark: f32) -> usize {
     }
 }
 
+/// Gives a material the density of another: the faces of one solid must weigh alike, as its mass is
+/// an integral over all of them.
+pub fn weigh_alike(w: &mut Workshop, stuff: usize, like: usize) {
+    let name = w.model.materials[like].name.clone();
+    w.model.materials[stuff].name = name;
+}
+
 /// Adds a part of steel, its texture at true size.
 pub fn add_steel(w: &mut Workshop, surface: Surface, crease: f32) -> usize {
     let metal = w.material(steel);
@@ -78,6 +85,13 @@ pub fn disc(radius: f32, low: f32, high: f32, edge: f32) -> Vec<Vec2> {
         Vec2::new(radius - edge, high),
         Vec2::new(0.0, high),
     ]
+}
+
+/// A box centred on the origin, its edges sharp: for parts of a millimetre or two.
+pub fn bar(size: Vec3) -> Surface {
+    let (x, y) = (size.x / 2.0, size.y / 2.0);
+    let outline = [Vec2::new(-x, -y), Vec2::new(x, -y), Vec2::new(x, y), Vec2::new(-x, y)];
+    extrude(&outline, -size.z / 2.0, size.z / 2.0, 0.0)
 }
 
 /// A torus about z: `radius` of its middle line, half-axes of its section across and along z,

@@ -39,7 +39,7 @@ pub fn colander(w: &mut Workshop) {
     let (first, last) = (w.dice.pick(&[3, 4]), rows - w.dice.pick(&[2, 3]));
     let body = shell(
         rows,
-        44,
+        40,
         |v, u| {
             let at = bowl_profile(shape, v);
             let out = Vec2::from_angle(u * TAU);
@@ -102,10 +102,10 @@ pub fn sieve(w: &mut Workshop) {
             "shallow" => 0.62,
             _ => w.dice.range(0.74, 0.92),
         };
-    let rows = 15;
+    let rows = 13;
     let mesh = shell(
         rows,
-        48,
+        36,
         |v, u| {
             let at = bowl_profile(shape, v);
             let out = Vec2::from_angle(u * TAU);

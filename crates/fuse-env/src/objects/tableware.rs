@@ -4,9 +4,9 @@ use glam::{Vec2, Vec3};
 
 use super::Workshop;
 use super::finish::{ceramic, glaze, material, steel, wood};
-use super::parts::{disc, plain, vivid_plastic};
+use super::parts::{disc, plain, vivid_plastic, weigh_alike};
 use super::shape::{Ends, Surface};
-use super::sweep::{Tip, hollow, revolve, rounded_rectangle, spline, superellipse, tube};
+use super::sweep::{Tip, extrude, hollow, revolve, rounded_rectangle, spline, superellipse, tube};
 use super::texture::{Canvas, Noise};
 use super::vessels::{Roots, around, handle};
 
@@ -107,10 +107,13 @@ pub fn tray(w: &mut Workshop) {
     } else {
         vivid_plastic(w)
     };
-    let (inside, outside) = body.split(|c, n| n.z > 0.7 && c.z < height * 0.5);
-    w.add(outside.uv_box(Vec2::new(0.10, 0.22)), skin, 40.0);
-    let mat = if w.dice.chance(0.35) { vivid_plastic(w) } else { skin };
-    w.add(inside.uv_box(Vec2::new(0.10, 0.22)), mat, 40.0);
+    w.add(body.uv_box(Vec2::new(0.10, 0.22)), skin, 40.0);
+    if w.dice.chance(0.35) {
+        // A mat on the floor.
+        let mat = vivid_plastic(w);
+        let sheet = extrude(&outline(-flare - wall - 0.004), floor - 0.0004, floor + 0.0006, 0.0);
+        w.add(sheet.uv_box(Vec2::splat(0.08)), mat, 40.0);
+    }
     let (span, rise) = (hy * w.dice.range(0.32, 0.42), w.dice.range(0.020, 0.032));
     let stuff = if w.dice.chance(0.5) { skin } else { w.material(steel) };
     let thick = w.dice.range(0.0032, 0.0050);
@@ -265,6 +268,7 @@ pub fn measuring_cup(w: &mut Workshop) {
     let bend = |s: Surface| Surface { points: s.points.iter().map(|&p| lip(p)).collect(), ..s };
     w.add(bend(outside), skin, 50.0);
     let lining = w.material(|_| glaze(ground * 0.97));
+    weigh_alike(w, lining, skin);
     w.add(bend(inside), lining, 50.0);
     let ear = handle(
         &Roots { outer: &outer, into: wall * 0.5, z: (height * w.dice.range(0.88, 0.95), height * 0.16), height },

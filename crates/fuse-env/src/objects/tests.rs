@@ -128,7 +128,7 @@ const USUAL: [(Category, [f32; 3]); 45] = [
     (Category::BinderClip, [4.2, 3.8, 2.8]),
     (Category::TapeDispenser, [13.5, 8.0, 4.8]),
     (Category::Flashlight, [14.5, 4.2, 4.2]),
-    (Category::Candle, [11.5, 7.0, 6.5]),
+    (Category::Candle, [11.5, 8.5, 7.5]),
     (Category::Can, [10.5, 7.2, 7.2]),
 ];
 

@@ -124,13 +124,13 @@ pub fn pen(w: &mut Workshop) {
 pub fn pencil(w: &mut Workshop) {
     let shape = w.shape();
     let length = w.dice.range(0.135, 0.185) * if shape == "stub" { 0.78 } else { 1.0 };
-    let r = w.dice.range(0.0036, 0.0042) * if matches!(shape, "jumbo" | "carpenter") { 1.3 } else { 1.0 };
+    let r = w.dice.range(0.0036, 0.0042) * if matches!(shape, "jumbo" | "carpenter") { 1.2 } else { 1.0 };
     let cone = r * w.dice.range(4.6, 6.2);
     let sides = match shape {
         "round" | "stub" => 24,
         _ => 6,
     };
-    let flat = if shape == "carpenter" { 1.45 } else { 1.0 };
+    let flat = if shape == "carpenter" { 1.25 } else { 1.0 };
     // The section: a polygon with corners a little round.
     let section = |k: f32| -> Vec<Vec2> {
         (0..24)
