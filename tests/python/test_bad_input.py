@@ -138,8 +138,8 @@ def test_arrays_of_every_wrong_kind_are_refused(function: str):
         (lambda: step(pose=np.diag([1.0, 1, -1, 1])), "rotation"),
         (lambda: make_episode("cut", seed=1.5), "seed must be a whole number from 0"),  # type: ignore[arg-type]
         (lambda: make_episode(3), "verb must be a str, found int"),  # type: ignore[arg-type]
-        (lambda: make_episode("scrub"), "`scrub` is known, but no shipped object is judged for it"),
-        (lambda: make_episode("roll"), "verbs with objects: cut, scoop, pour"),
+        (lambda: make_episode("scrub"), "`scrub` is known, but no episode asks for it yet"),
+        (lambda: make_episode("roll"), "verbs with episodes: cut, scoop, pour"),
         (lambda: splat.render("x", CAMERA), "gaussians must be a Gaussians, found str"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), 3), "camera must be a Camera, found int"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), CAMERA, "red"), "background must be three numbers"),  # type: ignore[arg-type]
@@ -215,7 +215,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run cut --set map.degree=4 --out o", "`map.degree`: found 4, expected: less than or equal to 3"),
         ("run cut --set map.position_rate=1e300 --out o", "position_rate must be finite and positive"),
         ("run cut --seed 99999999999999999999 --out o", "seed must be a whole number from 0 to"),
-        ("run scrub --out o", "`scrub` is known, but no shipped object"),
+        ("run scrub --out o", "`scrub` is known, but no episode asks for it"),
         ("run cut --set segmenter.weights=half.onnx --out o", "half.onnx is damaged"),
         (
             "run cut --set segmenter.weights=alone.onnx --out o",

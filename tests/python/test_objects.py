@@ -5,17 +5,22 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
+import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fuse_grounding import _core
 from fuse_grounding.cli.app import execute
 from fuse_grounding.cli.objects import SHIPPED
+from fuse_grounding.environment.episodes import EPISODE_VERBS, load_episodes
 from fuse_grounding.errors import InputError
+from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.judge import PATH as VALIDITY
+from fuse_grounding.perception.embedded import DEFAULT_PATH
 
 CATEGORIES = [name for name, _ in _core.object_categories()]
 
@@ -41,8 +46,54 @@ def test_shipped_set_is_complete_and_small():
     for category in CATEGORIES:
         splits = [r["split"] for r in records if r["category"] == category]
         assert splits == ["train"] * 5 + ["dev"] + ["eval"] * 2
-    assert sum(f.stat().st_size for f in SHIPPED.iterdir()) <= 15e6
+    assert len(CATEGORIES) >= 45
+    assert len(set(CATEGORIES)) == len({label for _, label in _core.object_categories()}) == len(CATEGORIES)
+    assert sum(f.stat().st_size for f in SHIPPED.iterdir()) <= 40e6
     assert {f.name for f in SHIPPED.iterdir()} == {r["file"] for r in records} | {"catalogue.json"}
+
+
+def solids(path: Path) -> tuple[NDArray[np.float32], list[NDArray[np.int64]]]:
+    """Points of a GLB's meshes, equal ones merged, and the triangles of each of its primitives."""
+    data = path.read_bytes()
+    assert data[:4] == b"glTF"
+    assert struct.unpack_from("<I", data, 8)[0] == len(data)
+    length = struct.unpack_from("<I", data, 12)[0]
+    head, body = json.loads(data[20 : 20 + length]), data[28 + length :]
+
+    def array(index: int) -> NDArray[np.generic]:
+        accessor = head["accessors"][index]
+        view = head["bufferViews"][accessor["bufferView"]]
+        kind = {5126: np.float32, 5125: np.uint32, 5123: np.uint16}[accessor["componentType"]]
+        width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        return np.frombuffer(body, kind, accessor["count"] * width, start).reshape(-1, width)
+
+    points: list[NDArray[np.generic]] = []
+    faces: list[NDArray[np.int64]] = []
+    shift = 0
+    for primitive in (p for mesh in head["meshes"] for p in mesh["primitives"]):
+        points.append(array(primitive["attributes"]["POSITION"]))
+        faces.append(array(primitive["indices"]).astype(np.int64).reshape(-1, 3) + shift)
+        shift += len(points[-1])
+    merged, where = np.unique(np.vstack(points) + np.float32(0), axis=0, return_inverse=True)
+    return merged, [where.reshape(-1)[f] for f in faces]
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_shipped_models_are_closed_textured_and_of_their_recorded_size(category: str):
+    for record in (r for r in _core.ObjectCatalogue(str(SHIPPED)).records() if r["category"] == category):
+        path = SHIPPED / record["file"]
+        assert path.stat().st_size <= 250e3
+        points, faces = solids(path)
+        x, y, z = np.ptp(points, axis=0)
+        assert np.allclose(np.array(record["size_m"]), (x, z, y), atol=1e-5)  # glTF's y is up
+        assert 0.03 <= max(record["size_m"]) <= 0.48, "metres"
+        triangles = np.vstack(faces)
+        edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+        low, high = edges.min(axis=1), edges.max(axis=1)
+        _, where = np.unique(low * len(points) + high, return_inverse=True)
+        turns = np.bincount(where.reshape(-1), weights=np.sign(edges[:, 1] - edges[:, 0]))
+        assert not turns.any(), f"{record['id']} has {np.count_nonzero(turns)} open edges"
 
 
 def test_regeneration_gives_the_shipped_bytes(small: Path):
@@ -79,6 +130,29 @@ def test_preview_is_a_sheet_of_distinct_pictures(small: Path, tmp_path: Path):
     cells = [sheet[:48, 130 + 48 * k : 178 + 48 * k].astype(int) for k in range(8)]
     assert all(cell.std() > 8 for cell in cells)
     assert all(np.abs(a - b).mean() > 2 for a, b in itertools.pairwise(cells))
+
+
+def test_sheets_show_each_category_from_two_heights(small: Path, tmp_path: Path):
+    out = tmp_path / "sheets"
+    arguments = ["objects", "preview", "--library", str(small), "--pixels", "48", "--sheets", str(out)]
+    assert execute(arguments) == 0
+    assert sorted(f.name for f in out.iterdir()) == ["book.png", "ruler.png"]
+    for path in out.iterdir():
+        sheet = cv2.imread(str(path))
+        assert sheet is not None
+        assert sheet.shape == (48 + 64, 8 * 48, 3)
+        above, across = (sheet[y : y + 48, :48].astype(int) for y in (0, 48))
+        assert above.std() > 8
+        assert np.abs(above - across).mean() > 2
+
+
+def test_every_category_has_its_sheet_in_the_documentation():
+    docs = Path(__file__).parents[2] / "docs"
+    assert {f.stem for f in (docs / "images" / "objects").glob("*.png")} == set(CATEGORIES)
+    text = (docs / "objects.md").read_text(encoding="utf-8")
+    for category in CATEGORIES:
+        assert f"(images/objects/{category}.png)" in text
+    assert sum(f.stat().st_size for f in (docs / "images" / "objects").iterdir()) <= 12e6
 
 
 def test_things_rest_in_several_ways():
@@ -144,10 +218,33 @@ def test_truncated_model_is_named(broken: Path):
 
 def test_validity_judges_every_verb_over_every_category():
     table = json.loads(VALIDITY.read_text(encoding="utf-8"))["verbs"]
-    verbs = ["cut", "scoop", "pour", "sip", "stir", "spread", "pound", "write", "wipe", "measure", "tighten"]
+    verbs = [*EPISODE_VERBS, *("erase", "scrub", "pick_hot", "fasten", "strain")]
+    verbs += ["beat", "roll", "illuminate", "serve"]
     assert list(table) == verbs
+    assert len(verbs) >= 20
+    assert set(verbs) == set(shipped().verbs)
     for verb, row in table.items():
         assert set(row) == set(CATEGORIES), verb
         valid = [c for c, entry in row.items() if entry["valid"]]
         assert 1 <= len(valid) <= 6, verb
         assert all(len(entry["reason"]) > 3 for entry in row.values()), verb
+    served = {c for row in table.values() for c, entry in row.items() if entry["valid"]}
+    # A book, a grater, a can serve none of these verbs: they are there to be passed over.
+    assert set(CATEGORIES) - served == {"book", "grater", "can"}
+
+
+def test_every_category_is_in_the_graph_under_its_label():
+    things = shipped().things
+    assert set(CATEGORIES) == set(things)
+    for category, label in _core.object_categories():
+        assert label in (things[category].label, "kitchen knife"), category
+        assert things[category].properties
+
+
+def test_episodes_keep_to_what_the_network_recognises():
+    known = _core.recognised_categories()
+    assert known == CATEGORIES[: len(known)]
+    assert known == json.loads(DEFAULT_PATH.with_suffix(".json").read_text())["labels"]
+    for episode in load_episodes("dev"):
+        assert set(episode.categories.values()) <= set(known)
+        assert episode.verb in EPISODE_VERBS

@@ -120,7 +120,7 @@ fn family(category: Category) -> u8 {
     }
 }
 
-/// A target and its distractors, the target first.
+/// A target and its distractors, the target first; all of recognised categories.
 fn choose<'a>(
     stage: &'a Stage,
     scene: &SceneConfiguration,
@@ -128,7 +128,8 @@ fn choose<'a>(
     strict: bool,
     rng: &mut ChaCha8Rng,
 ) -> Option<Vec<&'a ObjectRecord>> {
-    let mut all: Vec<&ObjectRecord> = stage.catalogue().of(scene.split).collect();
+    let mut all: Vec<&ObjectRecord> =
+        stage.catalogue().of(scene.split).filter(|r| r.category.is_recognised()).collect();
     let mut categories: Vec<Category> = all.iter().map(|r| r.category).filter(|c| valid.contains(c)).collect();
     categories.dedup();
     let category = *categories.choose(rng)?;

@@ -2,6 +2,7 @@
 //! viewpoints, episodes and the metrics that know the truth.
 
 pub mod catalogue;
+pub mod category;
 pub mod configuration;
 pub mod episode;
 pub mod generate;

@@ -6,10 +6,16 @@
 //! development and evaluation instances draw from different ranges, shapes and finishes:
 //! [`table`] and [`dice`].
 
+mod brush;
 mod cutlery;
 pub mod dice;
 pub mod finish;
+mod handtools;
 pub mod hull;
+mod kitchen;
+mod office;
+mod pantry;
+mod parts;
 mod pouring;
 pub mod preview;
 pub mod resting;
@@ -17,13 +23,16 @@ mod scissors;
 pub mod shape;
 mod soft;
 mod stationery;
+mod strainers;
 pub mod sweep;
 pub mod table;
+mod tableware;
 #[cfg(test)]
 mod tests;
 pub mod texture;
 mod tools;
 mod vessels;
+mod writing;
 
 use fuse_render::{Material, Model};
 
@@ -86,6 +95,33 @@ pub fn generate(category: Category, split: Split, seed: u64) -> Model {
         Category::Sponge => soft::sponge,
         Category::Towel => soft::towel,
         Category::Book => stationery::book,
+        Category::BoxCutter => handtools::box_cutter,
+        Category::Fork => kitchen::fork,
+        Category::Whisk => kitchen::whisk,
+        Category::Spatula => kitchen::spatula,
+        Category::Chopsticks => kitchen::chopsticks,
+        Category::Tongs => kitchen::tongs,
+        Category::MeasuringCup => tableware::measuring_cup,
+        Category::WineGlass => tableware::wine_glass,
+        Category::Plate => tableware::plate,
+        Category::Tray => tableware::tray,
+        Category::Colander => strainers::colander,
+        Category::Sieve => strainers::sieve,
+        Category::Grater => strainers::grater,
+        Category::RollingPin => kitchen::rolling_pin,
+        Category::Wrench => handtools::wrench,
+        Category::Pliers => handtools::pliers,
+        Category::TapeMeasure => office::tape_measure,
+        Category::Pen => writing::pen,
+        Category::Pencil => writing::pencil,
+        Category::Eraser => writing::eraser,
+        Category::ScrubBrush => brush::scrub_brush,
+        Category::Stapler => office::stapler,
+        Category::BinderClip => office::binder_clip,
+        Category::TapeDispenser => office::tape_dispenser,
+        Category::Flashlight => handtools::flashlight,
+        Category::Candle => pantry::candle,
+        Category::Can => pantry::can,
     };
     make(&mut workshop);
     workshop.model

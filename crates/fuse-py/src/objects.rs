@@ -50,8 +50,8 @@ impl ObjectCatalogue {
     }
 
     /// (pixels, pixels, 3) uint8 sRGB picture of an object in its `pose`-th resting pose, turned
-    /// by `yaw` radians, on a plain table.
-    #[pyo3(signature = (id, pixels=160, yaw=0.5, pose=0))]
+    /// by `yaw` radians, on a plain table, by a camera that looks down by `down` degrees.
+    #[pyo3(signature = (id, pixels=160, yaw=0.5, pose=0, down=32.0))]
     fn preview<'py>(
         &self,
         py: Python<'py>,
@@ -59,16 +59,20 @@ impl ObjectCatalogue {
         pixels: u32,
         yaw: f32,
         pose: usize,
+        down: f64,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let record = self.record(id)?;
         if !(16..=2048).contains(&pixels) || !yaw.is_finite() {
             return Err(input(format!("pixels must be in 16 to 2048 and yaw finite, found {pixels} and {yaw}")));
         }
+        if !(1.0..=89.0).contains(&down) {
+            return Err(input(format!("down must be 1 to 89 degrees, found {down}")));
+        }
         let Some(resting) = record.resting.get(pose) else {
             return Err(input(format!("`{id}` has {} resting poses, no pose {pose}", record.resting.len())));
         };
         let model = enter(py, || self.inner.model(record))?;
-        let picture = enter(py, || preview(&model, resting, yaw, pixels))?;
+        let picture = enter(py, || preview(&model, resting, yaw, down, pixels))?;
         into_3d(py, picture.as_slice().as_flattened().to_vec(), pixels, pixels, 3)
     }
 }
@@ -102,6 +106,12 @@ fn object_categories() -> Vec<(&'static str, &'static str)> {
     Category::ALL.iter().map(|c| (c.id(), c.label())).collect()
 }
 
+/// Ids of the categories that the shipped network tells apart and that episodes are made of.
+#[pyfunction]
+fn recognised_categories() -> Vec<&'static str> {
+    Category::recognised().iter().map(|c| c.id()).collect()
+}
+
 /// Writes a catalogue of generated objects into a folder: a GLB each and catalogue.json, the
 /// same bytes every time. `categories`: ids, every one when None. Returns the objects' ids.
 #[pyfunction]
@@ -129,6 +139,7 @@ fn write_object(py: Python<'_>, path: &str, category: &str, split: &str, seed: u
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<ObjectCatalogue>()?;
     module.add_function(wrap_pyfunction!(object_categories, module)?)?;
+    module.add_function(wrap_pyfunction!(recognised_categories, module)?)?;
     module.add_function(wrap_pyfunction!(write_objects, module)?)?;
     module.add_function(wrap_pyfunction!(write_object, module)?)
 }

@@ -87,27 +87,74 @@ def preview(
     library: Library = SHIPPED,
     category: Categories = None,
     pixels: Annotated[int, typer.Option(min=48, max=512, help="Side of each picture.")] = 160,
+    sheets: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for a PNG per category instead: all its objects from above, and as the camera sees "
+            "them from its lower pitch.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Draw a contact sheet: a row for each category, all its objects, by name."""
     catalogue, records = _chosen(library, category)
-    rows: dict[str, list[NDArray[np.uint8]]] = {}
+    rows: dict[str, list[dict[str, Any]]] = {}
     for record in records:
-        row = rows.setdefault(record["category"], [])
-        picture = catalogue.preview(record["id"], pixels, 0.5 + 0.8 * len(row))
-        row.append(_captioned(picture, record["id"].removeprefix(record["category"] + "_")))
+        rows.setdefault(record["category"], []).append(record)
+    say = Console(soft_wrap=True, highlight=False).print
+    if sheets is not None:
+        try:
+            sheets.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--sheets {sheets} cannot be made: {error.strerror}") from None
+        for name, row in rows.items():
+            _write_picture("--sheets", sheets / f"{name}.png", _two_views(catalogue, row, pixels))
+        say(f"{len(records)} objects on {len(rows)} sheets in {sheets}")
+        return
     longest = max(map(len, rows.values()))
     blank = np.full((pixels + 16, pixels, 3), 255, np.uint8)
-    strips = [
-        np.hstack([_name(name, pixels), *row, *[blank] * (longest - len(row))]) for name, row in rows.items()
+    strips = []
+    for name, row in rows.items():
+        pictures = [
+            _captioned(catalogue.preview(r["id"], pixels, _turn(k)), _short(r)) for k, r in enumerate(row)
+        ]
+        strips.append(np.hstack([_name(name, pixels), *pictures, *[blank] * (longest - len(row))]))
+    _write_picture("--out", out, np.vstack(strips))
+    say(f"{len(records)} objects in {out}")
+
+
+ABOVE, PITCH = 62.0, 30.0
+"""How far the camera looks down on a sheet, degrees: to show a shape, and as in episodes at their lowest."""
+
+
+def _two_views(catalogue: _core.ObjectCatalogue, row: list[dict[str, Any]], pixels: int) -> NDArray[np.uint8]:
+    """Objects side by side, from above and under them from the pitch of episodes."""
+    above = [catalogue.preview(r["id"], pixels, 0.5, 0, ABOVE) for r in row]
+    across = [
+        _captioned(catalogue.preview(r["id"], pixels, _turn(k), 0, PITCH), _short(r))
+        for k, r in enumerate(row)
     ]
-    written, buffer = cv2.imencode(".png", np.vstack(strips)[..., ::-1])
+    # Five bits a channel: half the size of the file, and nobody sees it.
+    return np.vstack([np.hstack(above), np.hstack(across)]) & np.uint8(0xF8)
+
+
+def _turn(k: int) -> float:
+    """Heading of the k-th object of a row, radians: every side of a category is seen."""
+    return 0.5 + 0.8 * k
+
+
+def _short(record: dict[str, Any]) -> str:
+    return str(record["id"]).removeprefix(record["category"] + "_")
+
+
+def _write_picture(option: str, path: Path, picture: NDArray[np.uint8]) -> None:
+    written, buffer = cv2.imencode(".png", picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not written:
         raise InputError("the contact sheet could not be encoded as PNG")
     try:
-        out.write_bytes(buffer.tobytes())
+        path.write_bytes(buffer.tobytes())
     except OSError as error:
-        raise InputError(f"cannot write --out {out}: {error.strerror}") from None
-    Console(soft_wrap=True, highlight=False).print(f"{len(records)} objects in {out}")
+        raise InputError(f"cannot write {option} {path}: {error.strerror}") from None
 
 
 def _captioned(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:

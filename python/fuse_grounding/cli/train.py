@@ -22,8 +22,7 @@ CALIBRATION_PICTURES = 128
 
 
 def _labels() -> tuple[str, ...]:
-    catalogue = _core.ObjectCatalogue(str(Path(__file__).parent.parent / "data" / "objects"))
-    return tuple(dict.fromkeys(r["category"] for r in catalogue.records()))
+    return tuple(_core.recognised_categories())
 
 
 @app.command()

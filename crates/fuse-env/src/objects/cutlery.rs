@@ -137,7 +137,7 @@ fn knife_handle(w: &mut Workshop, top: f32, width: f32, metal: usize) {
 }
 
 /// A flat bar of flatware along x: `width(t)`, `thick(t)` half-sizes, `lift(t)` height.
-fn bar(
+pub fn bar(
     x: (f32, f32),
     steps: usize,
     width: impl Fn(f32) -> f32,
@@ -159,7 +159,7 @@ fn bar(
 }
 
 /// Rounds off both ends of a width table.
-fn round_ends(t: f32, first: f32, last: f32) -> f32 {
+pub fn round_ends(t: f32, first: f32, last: f32) -> f32 {
     let ease = |d: f32, over: f32| {
         let s = (d / over.max(1e-4)).clamp(0.0, 1.0);
         (1.0 - (1.0 - s) * (1.0 - s)).max(0.0).sqrt()

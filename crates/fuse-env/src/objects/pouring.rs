@@ -186,7 +186,7 @@ fn teapot_lid(w: &mut Workshop, mouth: f32, height: f32, skin: usize) {
 }
 
 /// A label painted around a body: v from 0 (top) to 1; `low`..`high` is the label's band.
-fn labelled(dice: &mut Dice, body: Vec3, low: f32, high: f32) -> Canvas {
+pub fn labelled(dice: &mut Dice, body: Vec3, low: f32, high: f32) -> Canvas {
     let family = dice.family(&finishes(Stuff::Label));
     let noise = Noise(dice.seed());
     let ground = if dice.chance(0.5) { dice.color((0.0, 0.15), (0.88, 0.98)) } else { dice.vivid() };

@@ -9,16 +9,15 @@ use nalgebra::Point3;
 
 use crate::catalogue::RestingPose;
 
-/// Distance of the camera, metres, and how far it looks down, degrees.
+/// Distance of the camera, metres.
 const DISTANCE: f64 = 0.9;
-const DOWN: f64 = 32.0;
 
-/// A square picture, `pixels` wide, of a model resting in a pose, turned by `yaw` radians; it
-/// fills the picture whatever its size.
+/// A square picture, `pixels` wide, of a model resting in a pose, turned by `yaw` radians, seen
+/// by a camera that looks down by `down` degrees; it fills the picture whatever its size.
 ///
 /// # Errors
 /// [`SceneError`] when the model is unsound.
-pub fn preview(model: &Model, pose: &RestingPose, yaw: f32, pixels: u32) -> Result<RgbBuffer, SceneError> {
+pub fn preview(model: &Model, pose: &RestingPose, yaw: f32, down: f64, pixels: u32) -> Result<RgbBuffer, SceneError> {
     let turn = Quat::from_rotation_z(yaw) * pose.rotation();
     let points: Vec<Vec3> = model.meshes.iter().flat_map(|m| &m.positions).map(|p| turn * *p).collect();
     let low = points.iter().copied().reduce(Vec3::min).unwrap_or_default();
@@ -36,7 +35,7 @@ pub fn preview(model: &Model, pose: &RestingPose, yaw: f32, pixels: u32) -> Resu
     };
     let renderer = Renderer::new(scene, &RenderOptions { shadow_resolution: 1024, ..RenderOptions::default() })?;
     let target = Point3::new(0.0, 0.0, f64::from(high.z - low.z) / 2.0);
-    let (s, c) = DOWN.to_radians().sin_cos();
+    let (s, c) = down.to_radians().sin_cos();
     let eye = target + nalgebra::Vector3::new(0.0, -DISTANCE * c, DISTANCE * s);
     let pose = Pose::look_at(eye, target);
     let half = points

@@ -84,7 +84,7 @@ fn models_are_sound_and_of_moderate_size() {
 }
 
 /// Usual extents in centimetres, longest first.
-const USUAL: [(Category, [f32; 3]); 18] = [
+const USUAL: [(Category, [f32; 3]); 45] = [
     (Category::Knife, [30.0, 4.5, 2.0]),
     (Category::Scissors, [19.0, 10.0, 1.1]),
     (Category::ButterKnife, [20.0, 2.0, 0.7]),
@@ -103,6 +103,33 @@ const USUAL: [(Category, [f32; 3]); 18] = [
     (Category::Sponge, [10.5, 6.8, 3.0]),
     (Category::Towel, [21.0, 17.0, 3.0]),
     (Category::Book, [21.5, 15.5, 2.8]),
+    (Category::BoxCutter, [17.0, 2.5, 1.7]),
+    (Category::Fork, [19.0, 2.5, 1.9]),
+    (Category::Whisk, [28.0, 6.2, 5.5]),
+    (Category::Spatula, [33.0, 8.3, 4.0]),
+    (Category::Chopsticks, [23.5, 2.4, 0.85]),
+    (Category::Tongs, [29.0, 4.6, 2.3]),
+    (Category::MeasuringCup, [13.0, 11.0, 9.5]),
+    (Category::WineGlass, [18.5, 7.8, 7.8]),
+    (Category::Plate, [23.0, 23.0, 2.0]),
+    (Category::Tray, [38.0, 26.0, 5.5]),
+    (Category::Colander, [28.0, 23.0, 11.0]),
+    (Category::Sieve, [32.0, 15.0, 8.0]),
+    (Category::Grater, [22.5, 10.5, 7.5]),
+    (Category::RollingPin, [42.0, 5.4, 5.4]),
+    (Category::Wrench, [20.0, 4.2, 0.85]),
+    (Category::Pliers, [18.0, 6.0, 1.7]),
+    (Category::TapeMeasure, [10.0, 6.5, 4.0]),
+    (Category::Pen, [14.5, 1.3, 1.1]),
+    (Category::Pencil, [17.5, 0.85, 0.85]),
+    (Category::Eraser, [5.8, 2.3, 1.3]),
+    (Category::ScrubBrush, [19.0, 6.0, 5.2]),
+    (Category::Stapler, [14.0, 5.5, 3.5]),
+    (Category::BinderClip, [4.2, 3.8, 2.8]),
+    (Category::TapeDispenser, [13.5, 8.0, 4.8]),
+    (Category::Flashlight, [14.5, 4.2, 4.2]),
+    (Category::Candle, [11.5, 8.5, 7.5]),
+    (Category::Can, [10.5, 7.2, 7.2]),
 ];
 
 #[test]
