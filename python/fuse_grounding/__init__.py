@@ -16,6 +16,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from fuse_grounding.gymnasium_hook import register_when_imported
+
 if TYPE_CHECKING:
     from fuse_grounding._core import Camera, __version__
     from fuse_grounding.agent import Agent, Session
@@ -62,3 +64,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+register_when_imported()

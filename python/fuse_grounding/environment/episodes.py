@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -74,7 +75,24 @@ class Episode:
 @cache
 def stage() -> Stage:
     """The shipped objects and scenes; loaded once."""
+    _threads_of.append(os.getpid())
     return Stage(DATA / "objects", DATA / "scenes.json")
+
+
+_threads_of: list[int] = []
+"""The process that started the native threads, once one has."""
+
+
+def check_threads() -> None:
+    """Raises InputError in a fork of a process that has loaded the stage.
+
+    A fork has none of the threads that render, and would wait for them for ever.
+    """
+    if _threads_of and _threads_of[0] != os.getpid():
+        raise InputError(
+            "this process was forked from one that has rendered or made episodes, and has none of its threads; "
+            'start it first, or with another context, such as AsyncVectorEnv(..., context="spawn")'
+        )
 
 
 @cache
