@@ -76,7 +76,7 @@ def mask_over(rgb: np.ndarray, mask: np.ndarray | None, caption: str) -> np.ndar
 
 
 def captioned(rgb: np.ndarray, caption: str) -> np.ndarray:
-    """(H, W, 3) RGB with the caption on a bar over its lowest 28 rows; for films, whose frames keep their size."""
+    """(H, W, 3) RGB with the caption on a bar over its lowest 28 rows, so that it keeps its size."""
     image = rgb.copy()
     image[-28:] = _text_bar(caption, rgb.shape[1], 28, 0.5)[..., ::-1]
     return image

@@ -15,10 +15,12 @@ import numpy as np
 from fuse_grounding._core import Camera
 from fuse_grounding.environment.frame import level, moved, turned
 from fuse_grounding.environment.photo_header import PhotoHeader, read_header
+from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.reconstruction import photos
 from fuse_grounding.reconstruction.cameras import focus, up_axis
 from fuse_grounding.reconstruction.dataset import Dataset
+from fuse_grounding.registration.posed import PosedRegistrar
 from fuse_grounding.registration.similarity import Similarity
 
 LEAST = 5
@@ -103,13 +105,14 @@ def load_capture(
     depths = _beside(folder, "depth", data.names, size, turns, _depth)
     world = _world(folder, cameras, scale)
     cameras = cameras if world is None else [moved(camera, world) for camera in cameras]
-    points, colours = data.points()
-    points = points.astype(np.float64) if world is None else world.points(points.astype(np.float64))
+    points, colours = _points(data, world, images, cameras)
     if depths is not None and scale is None:
         factor = _scale_by_depth(folder, cameras, points, depths)
         grow = Similarity(factor, np.eye(3), np.zeros(3))
         cameras, points = [moved(camera, grow) for camera in cameras], grow.points(points)
-        notes.append(f"scale by the depth images: the photos were taken {factor:.2f} m from the scene on average")
+        notes.append(
+            f"scale by the depth images: the photos were taken {factor:.2f} m from the scene on average"
+        )
     metric = scale is not None or depths is not None
     if not metric:
         notes.append(
@@ -131,6 +134,21 @@ def load_capture(
     )
 
 
+def _points(
+    data: Dataset, world: Similarity | None, images: Sequence[np.ndarray], cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The reconstruction's points in the world; where poses came without any, what the photos agree on."""
+    if data.has_points:
+        xyz, colours = data.points()
+        return (xyz if world is None else world.points(xyz)).astype(np.float64), colours
+    registrar = PosedRegistrar()
+    registrar.initialize(
+        [Observation(image, camera=camera) for image, camera in zip(images, cameras, strict=True)]
+    )
+    xyz, rgb = registrar.points()
+    return xyz, (rgb / 255).astype(np.float32)
+
+
 def _check_scale(scale: Scale, hfov_deg: float | None) -> None:
     if isinstance(scale, str) and scale != "poses":
         raise InputError(f'scale must be metres or "poses", found {scale!r}')
@@ -146,14 +164,16 @@ def _find_poses(folder: Path, hfov_deg: float | None, told: Callable[[str], None
         raise InputError(f"capture {folder} is not a folder")
     root, names = photos.find_photos(folder)
     if len(names) < LEAST:
-        other = sorted(p.name for p in root.iterdir() if p.suffix.lower() in (".heic", ".heif", ".dng", ".webp"))
+        other = sorted(
+            p.name for p in root.iterdir() if p.suffix.lower() in (".heic", ".heif", ".dng", ".webp")
+        )
         hint = f"; {len(other)} such as {other[0]} are not read: save them as JPEG" if other else ""
         raise InputError(
             f"capture {root} has {len(names)} photo(s) (JPEG or PNG), "
             f"expected at least {LEAST} taken around the table{hint}"
         )
     headers = _headers([root / name for name in names])
-    width, height = headers[names[0]].width, headers[names[0]].height
+    width = headers[names[0]].width
     focal = None if hfov_deg is None else 0.5 * width / math.tan(math.radians(0.5 * hfov_deg))
     photos.find_poses(folder, told, focal_px=focal, effort=EFFORT)
     if focal is not None:
@@ -225,8 +245,8 @@ def _one_camera(folder: Path, names: Sequence[str], cameras: Sequence[Camera]) -
     for name, camera in zip(names, cameras, strict=True):
         if not np.allclose(lens(camera), lens(cameras[0]), rtol=0, atol=1e-6):
             raise InputError(
-                f"{folder}: its poses give {Path(names[0]).name} a focal length of {cameras[0].fx:.1f} px and "
-                f"{Path(name).name} one of {camera.fx:.1f} px; expected one camera for all photos"
+                f"{folder}: its poses give {Path(names[0]).name} a focal length of {cameras[0].fx:.1f} px "
+                f"and {Path(name).name} one of {camera.fx:.1f} px; expected one camera for all photos"
             )
 
 
@@ -284,7 +304,9 @@ def _depth(path: Path) -> np.ndarray:
 
 
 def _instances(path: Path) -> np.ndarray:
-    return _grey(path, (np.uint8, np.uint16), "8- or 16-bit grey: a number for each object, 0 none").astype(np.int32)
+    return _grey(path, (np.uint8, np.uint16), "8- or 16-bit grey: a number for each object, 0 none").astype(
+        np.int32
+    )
 
 
 def _scale_by_depth(
@@ -303,8 +325,7 @@ def _scale_by_depth(
     samples = np.concatenate(ratios)
     if len(samples) < _LEAST_SAMPLES:
         raise FuseError(
-            f"{folder}: {len(samples)} points of the reconstruction have a measured depth, too few for a scale "
-            f"({_LEAST_SAMPLES}); give --scale"
+            f"{folder}: {len(samples)} points of the reconstruction have a measured depth, too few for "
+            f"a scale ({_LEAST_SAMPLES}); give --scale"
         )
     return float(np.median(samples))
-

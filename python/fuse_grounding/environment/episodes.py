@@ -90,8 +90,8 @@ def check_threads() -> None:
     """
     if _threads_of and _threads_of[0] != os.getpid():
         raise InputError(
-            "this process was forked from one that has rendered or made episodes, and has none of its threads; "
-            'start it first, or with another context, such as AsyncVectorEnv(..., context="spawn")'
+            "this process was forked from one that has rendered or made episodes, and has none of its "
+            'threads; start it first, or with another context, such as AsyncVectorEnv(..., context="spawn")'
         )
 
 

@@ -19,9 +19,9 @@ NODES, PITCHES = 36, 3
 
 @dataclass(frozen=True)
 class Ring:
-    """Where views stand: `azimuth` counter-clockwise seen from above in nodes, `tilt` downwards in pitch steps.
+    """Where views stand: `azimuth` counter-clockwise seen from above and `tilt` downwards.
 
-    Both (N,) float64, not rounded: 10 degrees are a node, 15 a step; a tilt of 1 is pitch index 0.
+    In nodes and pitch steps, (N,) float64 each, not rounded: 10 degrees are a node, 15 a step; a tilt of 1 is pitch index 0.
     """
 
     azimuth: np.ndarray

@@ -1,4 +1,4 @@
-"""The Gymnasium environment `fuse_grounding/Tabletop-v0`: docs/gymnasium.md says what it gives and rewards."""
+"""The Gymnasium environment `fuse_grounding/Tabletop-v0`; docs/gymnasium.md says what it rewards."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def observation_space() -> spaces.Dict:
     )
 
 
-class TabletopGym(gymnasium.Env):  # type: ignore[name-defined,misc]
+class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
     """The tabletop as a Gymnasium environment: a camera on a ring that has to find a hidden object.
 
     `episodes`: a shipped set, a .json.gz file, or episodes; `reset` takes one at random, or the one of
@@ -66,8 +66,9 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined,misc]
         self.action_space = spaces.Discrete(ACTIONS)
         # Checked against the objects when one is played: a vector environment makes one only to look at its
         # spaces, and forks afterwards, which no thread survives.
-        by_name = isinstance(episodes, str | Path)
-        taken = load_episodes(episodes, validate=False) if by_name else list(episodes)
+        taken = (
+            load_episodes(episodes, validate=False) if isinstance(episodes, str | Path) else list(episodes)
+        )
         self._episodes = {episode.episode_id: _checked(episode) for episode in taken}
         if not self._episodes:
             raise InputError("episodes is empty: there is nothing to play")
@@ -201,4 +202,3 @@ def _checked(episode: Episode) -> Episode:
             f"{LONGEST_QUERY} printable ASCII ones: {query[:40]!r}"
         )
     return episode
-

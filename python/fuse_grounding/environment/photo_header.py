@@ -1,4 +1,4 @@
-"""Size and orientation of a photo, from its first bytes: pixels are decoded once it is clear that they are wanted."""
+"""Size and orientation of a photo from its first bytes, without decoding it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,9 @@ def _jpeg(file: BinaryIO, path: Path) -> PhotoHeader:
         if marker in _SIZES:
             height, width = struct.unpack(">xHH", file.read(5))
             if orientation not in QUARTER_TURNS:
-                raise InputError(f"{path} is stored mirrored (EXIF orientation {orientation}); save it unmirrored")
+                raise InputError(
+                    f"{path} is stored mirrored (EXIF orientation {orientation}); save it unmirrored"
+                )
             return PhotoHeader(width, height, QUARTER_TURNS[orientation])
         if marker in (0xD9, 0xDA) or length < 2:
             raise InputError(f"{path} is a damaged JPEG: no size before its pixels")
@@ -88,7 +90,9 @@ def _orientation(tiff: bytes) -> int | None:
 def with_exif(jpeg: bytes, focal_35mm: int, orientation: int = 1) -> bytes:
     """The JPEG with an EXIF segment as a phone writes it: orientation and 35 mm equivalent focal length."""
     exif_at = 8 + 2 + 2 * 12 + 4
-    directory = struct.pack(">HHHIHxxHHIII", 2, _ORIENTATION, _SHORT, 1, orientation, 0x8769, 4, 1, exif_at, 0)
+    directory = struct.pack(
+        ">HHHIHxxHHIII", 2, _ORIENTATION, _SHORT, 1, orientation, 0x8769, 4, 1, exif_at, 0
+    )
     exif = struct.pack(">HHHIHxxI", 1, 0xA405, _SHORT, 1, focal_35mm, 0)
     body = b"Exif\0\0" + b"MM\0*" + struct.pack(">I", 8) + directory + exif
     return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]

@@ -29,17 +29,20 @@ def photograph(
     folder: Path,
     count: int = 18,
     *,
+    arc_deg: float = 360.0,
     exif: bool = True,
     poses: bool = False,
     truth: bool = False,
 ) -> list[str]:
-    """Writes `count` JPEGs on the way round the table into `folder/images`; their names.
+    """Writes `count` JPEGs, taken on an arc of `arc_deg` around the table, into `folder/images`; their names.
 
     Every third photo is taken from steeper above. `exif` writes the focal length as phones do; `poses`
     a transforms.json in metres; `truth` depth and masks as PNG. The episode's seed is the hand's, too: the
     same arguments give the same files. Raises InputError for a folder that exists or cannot be written.
     """
     count = whole("count", count, 1, 108)
+    if not 0 < arc_deg <= 360:
+        raise InputError(f"arc_deg must be above 0 and at most 360, found {arc_deg}")
     if folder.exists():
         raise InputError(f"{folder} exists; a capture is made in a new folder")
     try:
@@ -47,7 +50,7 @@ def photograph(
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None
     try:
-        names = _fill(world, made, count, exif, poses, truth)
+        names = _fill(world, made, count, arc_deg, exif, poses, truth)
         os.chmod(made, 0o755)
         made.rename(folder)
     except BaseException:
@@ -57,13 +60,19 @@ def photograph(
 
 
 def _fill(
-    world: TabletopEnvironment, folder: Path, count: int, exif: bool, poses: bool, truth: bool
+    world: TabletopEnvironment,
+    folder: Path,
+    count: int,
+    arc_deg: float,
+    exif: bool,
+    poses: bool,
+    truth: bool,
 ) -> list[str]:
     hand = np.random.default_rng(world.episode.seed)
     first, _ = world.episode.start
     names, frames = [], []
     for index in range(count):
-        node = (first + round(36 * index / count)) % 36
+        node = (first + round(arc_deg / 10 * index / count)) % 36
         camera = _held(world.camera_at(node, 2 if index % 3 == 2 else 1), hand)
         seen = world.photograph(camera)
         assert seen.depth is not None

@@ -14,6 +14,7 @@ from fuse_grounding.environment.capture import Capture, Scale, load_capture
 from fuse_grounding.environment.frame import NODE_DEG, Ring, ring
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.errors import InputError
+from fuse_grounding.reconstruction.training import TrainOptions
 
 ACTIONS = 15
 NOOP = 7
@@ -23,7 +24,8 @@ CONE = np.cos(np.radians(45.0))
 """Cosine of the largest angle between an action's direction and a photo's, in nodes and pitch steps."""
 PROGRESS = 0.5
 """A move goes at least so many steps in its direction: two photos from one place are no move."""
-MAP_ITERATIONS = 1500
+MAP_ITERATIONS = 500
+MAP_GAUSSIANS = 30_000
 _OPAQUE = 0.5
 
 
@@ -108,7 +110,9 @@ class ReplayEnvironment:
         action = whole("action", action, 0, ACTIONS - 1)
         target = int(self._reached()[action])
         if target < 0:
-            raise InputError(f"action {action} is not possible at {self.photo}: no photo lies in its direction")
+            raise InputError(
+                f"action {action} is not possible at {self.photo}: no photo lies in its direction"
+            )
         self._here = target
         self.visited.append(self.photo)
 
@@ -151,7 +155,9 @@ class ReplayEnvironment:
     @cached_property
     def _map(self) -> splat.Gaussians:
         capture = self.capture
-        trainer = splat.Trainer(splat.Gaussians.from_points(capture.points, capture.colours))
+        options = TrainOptions(iterations=self._iterations, max_gaussians=MAP_GAUSSIANS)
+        start = splat.Gaussians.from_points(capture.points, capture.colours)
+        trainer = splat.Trainer(start, options.config())
         for image, camera in zip(capture.images, capture.cameras, strict=True):
             trainer.add_view(image, camera)
         trainer.refine(self._iterations)

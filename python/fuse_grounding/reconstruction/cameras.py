@@ -86,7 +86,7 @@ def orbit(dataset: Dataset, frames: int) -> list[Camera]:
 
 
 def focus(views: Sequence[Camera]) -> np.ndarray:
-    """(3,): the point nearest to all optical axes. Raises InputError for parallel ones, which meet nowhere."""
+    """(3,): the point nearest to all optical axes. Raises InputError for parallel ones."""
     centers = np.array([v.center for v in views])
     forwards = np.array([v.rotation[2] for v in views])
     across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
@@ -97,7 +97,7 @@ def focus(views: Sequence[Camera]) -> np.ndarray:
 
 
 def up_axis(views: Sequence[Camera]) -> np.ndarray:
-    """(3,) of length 1: what is perpendicular to all cameras' right, as a camera that looks down tilts its own up.
+    """(3,) of length 1: what is perpendicular to all cameras' right; looking down tilts a camera's own up.
 
     Raises InputError where the cameras agree on no direction.
     """

@@ -51,8 +51,9 @@ def find_poses(
     """Runs COLMAP on the photos of `folder` and writes `sparse/0` into it; returns the views with poses.
 
     Photos of one size share a camera (one focal length, one radial coefficient); otherwise each has its
-    own. COLMAP starts from the focal length of the EXIF data, where there is one, and refines it; `focal_px`,
-    pixels of the photos as stored, is kept as it is and is for photos of one size. Raises InputError for fewer than three photos, FuseError where COLMAP finds no poses.
+    own. COLMAP starts from the EXIF data's focal length, where there is one, and refines it; `focal_px`, in
+    pixels of the photos as stored and for photos of one size, is kept as it is. Raises InputError for fewer
+    than three photos, FuseError where COLMAP finds no poses.
     """
     import pycolmap
 
@@ -74,7 +75,15 @@ def find_poses(
     with tempfile.TemporaryDirectory(prefix=".colmap-", dir=folder) as work:
         database, images = str(Path(work) / "database.db"), str(root)
         told(f"features of {len(names)} photos")
-        pycolmap.extract_features(database, images, names, camera_mode=mode, camera_model="SIMPLE_RADIAL", reader_options=reader, extraction_options=extraction)
+        pycolmap.extract_features(
+            database,
+            images,
+            names,
+            camera_mode=mode,
+            camera_model="SIMPLE_RADIAL",
+            reader_options=reader,
+            extraction_options=extraction,
+        )
         pairs = len(names) * (len(names) - 1) // 2
         told(f"matching {pairs} pairs" + (", which takes a while" if len(names) > _MANY else ""))
         pycolmap.match_exhaustive(database)
