@@ -32,7 +32,7 @@ def register() -> None:
 
 def register_when_imported() -> None:
     """Registers now if Gymnasium is there, otherwise right after it is imported."""
-    if "gymnasium" in sys.modules:
+    if sys.modules.get("gymnasium") is not None:
         register()
     elif not any(isinstance(finder, _Waiting) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Waiting())

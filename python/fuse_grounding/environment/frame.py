@@ -21,7 +21,7 @@ NODES, PITCHES = 36, 3
 class Ring:
     """Where views stand: `azimuth` counter-clockwise seen from above and `tilt` downwards.
 
-    In nodes and pitch steps, (N,) float64 each, not rounded: 10 degrees are a node, 15 a step; a tilt of 1 is pitch index 0.
+    In nodes (10 degrees) and pitch steps (15), (N,) float64 each, not rounded; a tilt of 1 is pitch index 0.
     """
 
     azimuth: np.ndarray

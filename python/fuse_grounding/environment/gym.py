@@ -24,6 +24,7 @@ NODES, PITCHES, ACTIONS = 36, 3, 15
 FARTHEST_M = 100.0
 """Bound of depths and camera coordinates, metres; rooms are a few metres wide."""
 LONGEST_QUERY = 200
+"""Bytes of UTF-8. Bytes, because Gymnasium's shared memory hands out `Text` as it was at the start."""
 SEEN_FRACTION, SEEN_PIXELS = 0.8, 500
 """A view that shows this much of a valid object ends the search: every episode has one."""
 STEP_COST = 0.01
@@ -40,7 +41,7 @@ def observation_space() -> spaces.Dict:
             "pose": spaces.Box(-bound, bound, (4, 4), np.float64),
             "node": spaces.Discrete(NODES),
             "pitch": spaces.Discrete(PITCHES),
-            "query": spaces.Text(LONGEST_QUERY, charset=frozenset(map(chr, range(32, 127)))),
+            "query": spaces.Box(0, 255, (LONGEST_QUERY,), np.uint8),
             "action_mask": spaces.MultiBinary(ACTIONS),
         }
     )
@@ -171,12 +172,12 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = seen.camera.rotation, seen.camera.translation
         return {
-            "rgb": seen.rgb,
+            "rgb": seen.rgb.copy(),  # staying put must not hand out the same array twice
             "depth": np.minimum(seen.depth, np.float32(FARTHEST_M)),
             "pose": pose,
             "node": np.int64(seen.node or 0),
             "pitch": np.int64(seen.pitch_index or 0),
-            "query": world.episode.query,
+            "query": _padded(world.episode.query),
             "action_mask": world.action_mask().astype(np.int8),
         }
 
@@ -186,6 +187,7 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         return {
             "action_mask": world.action_mask().astype(np.int8),
             "episode_id": world.episode.episode_id,
+            "query": world.episode.query,
             "is_success": self._found(world),
             "refused": refused,
             "visible_fraction": fraction,
@@ -193,12 +195,16 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         }
 
 
+def _padded(query: str) -> np.ndarray:
+    """(200,) uint8: UTF-8, then zeros."""
+    return np.frombuffer(query.encode().ljust(LONGEST_QUERY, b"\0"), np.uint8).copy()
+
+
 def _checked(episode: Episode) -> Episode:
     """Raises InputError for a query that the observation space has no room for."""
-    query = episode.query
-    if not (0 < len(query) <= LONGEST_QUERY and query.isascii() and query.isprintable()):
+    if len(episode.query.encode()) > LONGEST_QUERY:
         raise InputError(
-            f"episode {episode.episode_id}: its query has {len(query)} characters, expected 1 to "
-            f"{LONGEST_QUERY} printable ASCII ones: {query[:40]!r}"
+            f"episode {episode.episode_id}: its query has {len(episode.query.encode())} bytes, "
+            f"expected at most {LONGEST_QUERY}"
         )
     return episode
