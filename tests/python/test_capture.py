@@ -175,17 +175,17 @@ def test_the_replay_moves_and_starts_where_it_is_told(posed: Path):
 
 
 def test_a_scale_without_depth_takes_depth_from_a_map(folder: Path):
-    truth = load_capture(folder, scale="poses").depths
-    assert truth is not None
+    truth = load_capture(folder, scale="poses")
+    assert truth.depths is not None
     shutil.rmtree(folder / "depth")
-    env = ReplayEnvironment(load_capture(folder, scale="poses"), map_iterations=60)
+    env = ReplayEnvironment(load_capture(folder, scale="poses"), "003.jpg", map_iterations=150)
     assert any("rendered from a Gaussian map of all 7" in note for note in env.notes)
     depth = env.observe().depth
     assert depth is not None
-    table = truth[0] < 1.2
-    known = table & (depth > 0)
-    assert known.sum() > 0.9 * table.sum()
-    assert np.median(np.abs(depth[known] / truth[0][known] - 1)) < 0.15
+    near = truth.depths[3] < 1.2
+    known = near & (depth > 0)
+    assert known.sum() > 0.9 * near.sum()
+    assert np.median(np.abs(depth[known] / truth.depths[3][known] - 1)) < 0.15  # a short training
 
 
 def test_a_phones_photos_become_an_episode(
@@ -230,7 +230,7 @@ def test_a_phones_photos_become_an_episode(
 
 
 def shrunk(path: Path) -> None:
-    assert cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240)))
+    assert cv2.imwrite(str(path), np.zeros((240, 320, 3), np.uint8))
 
 
 def keep(folder: Path, count: int) -> None:
@@ -240,7 +240,7 @@ def keep(folder: Path, count: int) -> None:
 
 def mirrored(folder: Path) -> None:
     path = folder / "images" / "002.jpg"
-    jpeg = cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes()
+    jpeg = cv2.imencode(".jpg", np.zeros((480, 640, 3), np.uint8))[1].tobytes()
     path.write_bytes(with_exif(jpeg, 30, orientation=2))
 
 
@@ -369,8 +369,9 @@ def test_headers_are_read_and_damage_is_refused_not_believed(posed: Path, tmp_pa
         path.write_bytes(with_exif(jpeg, 26, orientation))
         assert read_header(path) == PhotoHeader(40, 30, turns)
         # OpenCV turns by the same data.
-        shown = cv2.imread(str(path)).shape[:2]
-        assert shown == ((40, 30) if turns % 2 else (30, 40))
+        shown = cv2.imread(str(path))
+        assert shown is not None
+        assert shown.shape[:2] == ((40, 30) if turns % 2 else (30, 40))
     random = np.random.default_rng(0)
     for _ in range(400):
         damaged = bytearray(whole[:400])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import re
 import subprocess
 import sys
@@ -15,6 +17,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from fuse_grounding.environment import Episode, TabletopEnvironment, load_episodes
+from fuse_grounding.environment.episodes import DATA
 from fuse_grounding.environment.gym import SEEN_FRACTION, SEEN_PIXELS, STEP_COST, TabletopGym
 from fuse_grounding.errors import InputError
 
@@ -38,6 +41,8 @@ def test_observations_are_the_tabletops(env):
     seen, info = env.reset(options={"episode_id": "dev_0001"})
     world = TabletopEnvironment(EPISODE)
     truth = world.observe()
+    assert truth.depth is not None
+    assert truth.camera is not None
     assert np.array_equal(seen["rgb"], truth.rgb)
     assert np.array_equal(seen["depth"], truth.depth)
     assert np.allclose(seen["pose"][:3, 3], truth.camera.translation)
@@ -116,6 +121,34 @@ def test_wrong_arguments_are_named():
         TabletopGym([long])
 
 
+def test_broken_episode_files_are_named(tmp_path: Path):
+    path = tmp_path / "mine.json.gz"
+    whole = (DATA / "episodes" / "dev.json.gz").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"mine\.json\.gz is not a complete gzip file"):
+        TabletopGym(path)
+
+    def written(edit) -> Path:
+        data = json.loads(gzip.decompress(whole))
+        data["episodes"] = data["episodes"][:1]
+        edit(data)
+        path.write_bytes(gzip.compress(json.dumps(data).encode()))
+        return path
+
+    with pytest.raises(InputError, match=r"mine\.json\.gz has schema version 7, expected 1"):
+        TabletopGym(written(lambda d: d.update(schema_version=7)))
+    with pytest.raises(
+        InputError, match=r"mine\.json\.gz: episode `dev_0000` has schema version 7, expected 1"
+    ):
+        TabletopGym(written(lambda d: d["episodes"][0].update(schema_version=7)))
+    # Objects are looked up when an episode is played.
+    env = TabletopGym(written(lambda d: d["episodes"][0]["objects"][0].update(model_id="teapot_dev_9")))
+    with pytest.raises(
+        InputError, match=r"mine\.json\.gz: episode `dev_0000`: unknown object `teapot_dev_9`"
+    ):
+        env.reset()
+
+
 def test_it_can_be_filmed(env, tmp_path: Path):
     pytest.importorskip("moviepy")
     film = gymnasium.wrappers.RecordVideo(env, str(tmp_path), disable_logger=True)
@@ -138,7 +171,7 @@ for mode in ("async", "sync"):
     assert list(info["episode_id"]) == ["dev_0001"] * 2
     second, reward, *_, info = envs.step(np.array([8, 6]))
     assert not np.array_equal(second["rgb"][0], second["rgb"][1])
-    seen.append((second["rgb"].copy(), second["query"].copy(), reward, second["action_mask"].copy()))
+    seen.append([np.copy(second[key]) for key in second] + [reward])
     envs.close()
 for a, b in zip(*seen):
     assert np.array_equal(a, b)

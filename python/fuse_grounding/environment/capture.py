@@ -313,15 +313,8 @@ def _scale_by_depth(
     folder: Path, cameras: Sequence[Camera], points: np.ndarray, depths: Sequence[np.ndarray]
 ) -> float:
     """Median over views and points of measured over reconstructed depth."""
-    ratios = []
-    for camera, depth in zip(cameras, depths, strict=True):
-        local = points @ camera.rotation.T + camera.translation
-        local = local[local[:, 2] > 1e-6]
-        column = np.floor(local[:, 0] / local[:, 2] * camera.fx + camera.cx).astype(int)
-        row = np.floor(local[:, 1] / local[:, 2] * camera.fy + camera.cy).astype(int)
-        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        measured = depth[row[inside], column[inside]]
-        ratios.append(measured[measured > 0] / local[inside, 2][measured > 0])
+    pairs = zip(cameras, depths, strict=True)
+    ratios = [depth_ratios(camera, points, depth) for camera, depth in pairs]
     samples = np.concatenate(ratios)
     if len(samples) < _LEAST_SAMPLES:
         raise FuseError(
@@ -329,3 +322,14 @@ def _scale_by_depth(
             f"a scale ({_LEAST_SAMPLES}); give --scale"
         )
     return float(np.median(samples))
+
+
+def depth_ratios(camera: Camera, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Depth image over depth of the point, for each of `points` (P, 3) that falls on a known pixel."""
+    local = points @ camera.rotation.T + camera.translation
+    local = local[local[:, 2] > 1e-6]
+    column = np.floor(local[:, 0] / local[:, 2] * camera.fx + camera.cx).astype(int)
+    row = np.floor(local[:, 1] / local[:, 2] * camera.fy + camera.cy).astype(int)
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    known = depth[row[inside], column[inside]]
+    return known[known > 0] / local[inside, 2][known > 0]

@@ -171,11 +171,19 @@ def episodes_path(name: str | Path) -> Path:
 
 def load_episodes(name: str | Path, *, validate: bool = True) -> list[Episode]:
     """Episodes of a .json.gz file, or of a shipped set by name (`dev`). Raises InputError."""
-    episodes = [Episode(text) for text in read_episodes(episodes_path(name))]
-    if validate:
-        for episode in episodes:
+    path = episodes_path(name)
+    try:
+        episodes = [Episode(text) for text in read_episodes(path)]
+        for episode in episodes if validate else ():
             stage().validate(episode.text)
+    except InputError as error:
+        raise _of_file(path, error) from None
     return episodes
+
+
+def _of_file(path: Path, error: InputError) -> InputError:
+    """The error with the file's name, where it speaks of an episode alone."""
+    return error if str(path) in str(error) else InputError(f"{path}: {error}")
 
 
 def save_episodes(path: Path, episodes: Sequence[Episode]) -> None:

@@ -67,6 +67,7 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         self.action_space = spaces.Discrete(ACTIONS)
         # Checked against the objects when one is played: a vector environment makes one only to look at its
         # spaces, and forks afterwards, which no thread survives.
+        self._source = str(episodes) if isinstance(episodes, str | Path) else "episodes"
         taken = (
             load_episodes(episodes, validate=False) if isinstance(episodes, str | Path) else list(episodes)
         )
@@ -74,6 +75,7 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         if not self._episodes:
             raise InputError("episodes is empty: there is nothing to play")
         self._world: TabletopEnvironment | None = None
+        self._first: Observation | None = None
         self._seen: Observation | None = None
         self._sights: dict[tuple[int, int], tuple[float, float, int]] = {}
 
@@ -90,10 +92,11 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         episode = self._choose(options or {})
         check_threads()
         if self._world is None or self._world.episode is not episode:
-            self._world = TabletopEnvironment(episode)
+            self._world = self._open(episode)
             self._sights = {}
+            self._first = self._world.observe()
         self._world.reset()
-        self._seen = self._world.observe()
+        self._seen = self._first
         return self._observation(), self._info(refused=False)
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
@@ -124,7 +127,13 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
 
     def close(self) -> None:
         """Forgets the world."""
-        self._world = self._seen = None
+        self._world = self._first = self._seen = None
+
+    def _open(self, episode: Episode) -> TabletopEnvironment:
+        try:
+            return TabletopEnvironment(episode)
+        except InputError as error:
+            raise InputError(f"{self._source}: {error}") from None
 
     def _choose(self, options: Mapping[str, Any]) -> Episode:
         unknown = [name for name in options if name != "episode_id"]
