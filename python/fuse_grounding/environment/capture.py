@@ -314,7 +314,7 @@ def _scale_by_depth(
 ) -> float:
     """Median over views and points of measured over reconstructed depth."""
     pairs = zip(cameras, depths, strict=True)
-    ratios = [depth_ratios(camera, points, depth) for camera, depth in pairs]
+    ratios = [_depth_ratios(camera, points, depth) for camera, depth in pairs]
     samples = np.concatenate(ratios)
     if len(samples) < _LEAST_SAMPLES:
         raise FuseError(
@@ -324,7 +324,7 @@ def _scale_by_depth(
     return float(np.median(samples))
 
 
-def depth_ratios(camera: Camera, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def _depth_ratios(camera: Camera, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Depth image over depth of the point, for each of `points` (P, 3) that falls on a known pixel."""
     local = points @ camera.rotation.T + camera.translation
     local = local[local[:, 2] > 1e-6]

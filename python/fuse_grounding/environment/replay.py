@@ -11,7 +11,7 @@ import numpy as np
 from fuse_grounding import splat
 from fuse_grounding._core import Camera
 from fuse_grounding.arguments import whole
-from fuse_grounding.environment.capture import Capture, Scale, depth_ratios, load_capture
+from fuse_grounding.environment.capture import Capture, Scale, load_capture
 from fuse_grounding.environment.frame import NODE_DEG, Ring, ring
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.errors import InputError
@@ -149,15 +149,9 @@ class ReplayEnvironment:
         return Observation(capture.images[index], depth, instance, capture.cameras[index], node, pitch_index)
 
     def _rendered_depth(self, camera: Camera) -> np.ndarray:
-        """(H, W) metres, 0 where the map is thin.
-
-        What is half transparent in front draws the mean nearer; the points of the reconstruction say by how
-        much, as the median over those in the picture.
-        """
+        """(H, W) metres, 0 where the map is thin."""
         _, alpha, rendered = splat.render(self._map, camera)
-        depth = np.where(alpha > _OPAQUE, rendered, 0.0).astype(np.float32)
-        ratios = depth_ratios(camera, self.capture.points, depth)
-        return depth / np.float32(np.median(ratios)) if len(ratios) else depth
+        return np.where(alpha > _OPAQUE, rendered, 0.0).astype(np.float32)
 
     @property
     def _depth_from_map(self) -> bool:
