@@ -29,5 +29,12 @@ result = fuse.Agent(fuse.Config(method="static")).run(TabletopEnvironment(episod
 assert result.record.steps, "the wheel runs an episode"
 print(f"{result.label} at {result.viewpoint.node}, score {result.score}")
 PY
+"$work/env/bin/pip" install --quiet 'gymnasium>=1.0'
+"$work/env/bin/python" - <<'PY'
+import fuse_grounding, gymnasium
+
+observation, info = gymnasium.make("fuse_grounding/Tabletop-v0").reset(options={"episode_id": "dev_0001"})
+print(f"gymnasium plays {info['episode_id']}: {observation['query']}")
+PY
 "$work/env/bin/python" -c 'import importlib.util as u; assert u.find_spec("torch") is None, "torch must not be needed"'
 echo "wheel: $(basename "$wheel"), $(du -h "$wheel" | cut -f1)"

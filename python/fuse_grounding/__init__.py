@@ -16,11 +16,13 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from fuse_grounding.gymnasium_hook import register_when_imported
+
 if TYPE_CHECKING:
     from fuse_grounding._core import Camera, __version__
     from fuse_grounding.agent import Agent, Session
     from fuse_grounding.config import Config
-    from fuse_grounding.environment import TabletopEnvironment
+    from fuse_grounding.environment import ReplayEnvironment, TabletopEnvironment
     from fuse_grounding.errors import FuseError, InputError
     from fuse_grounding.grounding import Grounded, Move
     from fuse_grounding.record import EpisodeRecord
@@ -34,6 +36,7 @@ __all__ = [
     "Grounded",
     "InputError",
     "Move",
+    "ReplayEnvironment",
     "Session",
     "TabletopEnvironment",
     "__version__",
@@ -48,6 +51,7 @@ _HOMES = {
     "Grounded": "grounding",
     "InputError": "errors",
     "Move": "grounding",
+    "ReplayEnvironment": "environment",
     "Session": "agent",
     "TabletopEnvironment": "environment",
     "__version__": "_core",
@@ -62,3 +66,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+register_when_imported()

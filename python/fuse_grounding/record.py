@@ -199,6 +199,8 @@ class EpisodeRecord(Entry):
     provenance: dict[str, Any]
     initialization: InitializationEntry | None = None
     steps: list[StepEntry] = Field(default_factory=list)
+    photos: list[str] | None = None
+    """File name of each online view, where the world is a folder of photos."""
     result: ResultEntry | None = None
 
     def write(self, path: Path) -> None:

@@ -75,6 +75,13 @@ def mask_over(rgb: np.ndarray, mask: np.ndarray | None, caption: str) -> np.ndar
     return np.vstack([image, _text_bar(caption, image.shape[1], 40, 0.6)])
 
 
+def captioned(rgb: np.ndarray, caption: str) -> np.ndarray:
+    """(H, W, 3) RGB with the caption on a bar over its lowest 28 rows, so that it keeps its size."""
+    image = rgb.copy()
+    image[-28:] = _text_bar(caption, rgb.shape[1], 28, 0.5)[..., ::-1]
+    return image
+
+
 def overview(rgb: np.ndarray, maps: EvidenceMaps | None, mask: np.ndarray | None, title: str) -> np.ndarray:
     """Input, semantic evidence, geometric uncertainty and fused evidence, side by side under a title."""
     semantic = None if maps is None else maps.semantic

@@ -7,6 +7,7 @@ places go into the command line.
 from __future__ import annotations
 
 import gzip
+import json
 import shutil
 import signal
 import subprocess
@@ -191,6 +192,12 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "plain.json.gz").write_text("hello")
     (tmp_path / "other.json.gz").write_bytes(gzip.compress(b'{"a": 1}'))
     (tmp_path / "none.json.gz").write_bytes(gzip.compress(b'{"schema_version": 1, "episodes": []}'))
+    episodes = json.loads(gzip.decompress(whole))
+    episodes["schema_version"] = 7
+    (tmp_path / "future.json.gz").write_bytes(gzip.compress(json.dumps(episodes).encode()))
+    episodes["schema_version"] = 1
+    episodes["episodes"][0]["objects"][0]["model_id"] = "teapot_dev_9"
+    (tmp_path / "stranger.json.gz").write_bytes(gzip.compress(json.dumps(episodes).encode()))
     (tmp_path / "half.onnx").write_bytes(DEFAULT_PATH.read_bytes()[:20000])
     shutil.copy(DEFAULT_PATH.with_suffix(".json"), tmp_path / "half.json")
     (tmp_path / "alone.onnx").write_bytes(b"x")
@@ -240,6 +247,21 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bench --methods static --limit 1 --out /proc/o", "/proc/o cannot be written"),
         ("episodes validate plain.json.gz", "plain.json.gz is not a complete gzip file"),
         ("episodes validate other.json.gz", "other.json.gz is not an episode file: unknown field `a`"),
+        ("episodes validate half.json.gz", "half.json.gz is not a complete gzip file"),
+        ("episodes validate future.json.gz", "future.json.gz has schema version 7, expected 1"),
+        (
+            "episodes validate stranger.json.gz",
+            "stranger.json.gz: episode `dev_0000`: unknown object `teapot_dev_9`",
+        ),
+        (
+            "bench --methods static --episodes stranger.json.gz --out o",
+            "stranger.json.gz: episode `dev_0000`: unknown object",
+        ),
+        ("capture make --out file", "file exists; a capture is made in a new folder"),
+        ("capture make --out no/where", "no/where cannot be written: No such file or directory"),
+        ("capture make --photos 3 --arc 400 --out o", "arc_deg must be above 0 and at most 360, found 400"),
+        ("capture check folder", "folder has 0 photo(s) (JPEG or PNG), expected at least 5"),
+        ("capture check nowhere", "capture nowhere is not a folder"),
         ("episodes validate folder", "no episode file folder"),
         ("episodes show dev --episode nope", "dev has no episode `nope`"),
         ("episodes show dev --episode dev_0000 --out file", "cannot make folder file"),

@@ -10,9 +10,12 @@ import typer
 from fuse_grounding import knowledge
 from fuse_grounding.agent import Agent
 from fuse_grounding.benchmark.metrics import evaluate
+from fuse_grounding.cli.capture import PhotoNotes, open_capture, photographed
 from fuse_grounding.cli.console import Narrator, interruptible, print_json
 from fuse_grounding.config import Config
-from fuse_grounding.environment import TabletopEnvironment, make_episode
+from fuse_grounding.environment import ReplayEnvironment, TabletopEnvironment, make_episode
+from fuse_grounding.errors import InputError
+from fuse_grounding.record import EpisodeRecord
 from fuse_grounding.runfolder import RunFolder, check, prepare
 
 
@@ -36,6 +39,23 @@ def command(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     method: Annotated[str | None, typer.Option(help="How to search; default: fuse.")] = None,
     segmenter: Annotated[str | None, typer.Option(help="What finds candidates; default: embedded.")] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(help="Folder of photos to search instead of a made scene (docs/capture.md)."),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help="Photo to start from; default: the first by name.")
+    ] = None,
+    scale: Annotated[
+        str | None,
+        typer.Option(
+            help="Mean distance from camera to scene in metres; or `poses`: they are in metres, z up."
+        ),
+    ] = None,
+    hfov: Annotated[
+        float | None,
+        typer.Option(help="Horizontal field of view of the photos, degrees; default: EXIF, COLMAP."),
+    ] = None,
     source: Annotated[
         str | None, typer.Option("--knowledge", help="graph, oracle or direct; default: graph.")
     ] = None,
@@ -60,22 +80,54 @@ def command(
     out = out or next_folder(Path("runs"))
     check(out, force)
     verb = knowledge.parse(query).verb
+    narrator = Narrator(quiet=as_json)
+    if capture is not None:
+        if scene is not None or seed != 0:
+            raise InputError(f"--capture {capture} is the scene: --scene and --seed are for made ones")
+        replay = open_capture(capture, settings, start, scale, hfov)
+        agent = Agent(photographed(settings, replay))
+        if agent.start(query).policy.start == "canonical":
+            raise InputError(f"method `{settings.method}` looks straight down, where --capture has no photo")
+        _run_capture(agent, replay, query, prepare(out, force), narrator, as_json)
+        return
+    for name, value in (("--start", start), ("--scale", scale), ("--hfov", hfov)):
+        if value is not None:
+            raise InputError(f"{name} {value} is for photos: --capture names their folder")
     agent = Agent(settings)
     with interruptible():
         episode = make_episode(verb, scene, seed, query=query)
     environment = TabletopEnvironment(episode)
     folder = prepare(out, force)
     files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)
-    narrator = Narrator(quiet=as_json)
     narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")
     try:
         grounded = agent.run(environment, query, watchers=[files, narrator])
     finally:
         narrator.close()
-    record = grounded.record
+    assert grounded.record.result is not None
+    grounded.record.result.metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
+    _conclude(grounded.record, folder, narrator, as_json)
+
+
+def _run_capture(
+    agent: Agent, world: ReplayEnvironment, query: str, folder: Path, narrator: Narrator, as_json: bool
+) -> None:
+    """An episode among photos: there is no truth to measure it by."""
+    name = world.capture.folder.resolve().name
+    files = RunFolder(folder, name, str(world.capture.folder))
+    narrator.say(f"capture     {world.capture.folder}: {len(world.capture.names)} photos, from {world.photo}")
+    try:
+        grounded = agent.run(world, query, watchers=[PhotoNotes(world), files, narrator])
+    finally:
+        narrator.close()
+    _conclude(grounded.record, folder, narrator, as_json)
+
+
+def _conclude(record: EpisodeRecord, folder: Path, narrator: Narrator, as_json: bool) -> None:
     assert record.result is not None
-    record.result.metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
     record.write(folder / "episode.json")
     narrator.result(record.result, str(folder))
+    if record.photos is not None and record.result.view is not None:
+        narrator.say(f"photo       {record.photos[record.result.view.index]}")
     if as_json:
         print_json({"out": str(folder), **record.model_dump(mode="json")})

@@ -11,6 +11,7 @@ from fuse_grounding.environment.episodes import (
     scene_names,
 )
 from fuse_grounding.environment.protocol import Environment, Observation
+from fuse_grounding.environment.replay import ReplayEnvironment
 from fuse_grounding.environment.tabletop import TabletopEnvironment, Target
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Environment",
     "Episode",
     "Observation",
+    "ReplayEnvironment",
     "TabletopEnvironment",
     "Target",
     "episodes_path",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -80,7 +81,24 @@ class Episode:
 @cache
 def stage() -> Stage:
     """The shipped objects and scenes; loaded once."""
+    _threads_of.append(os.getpid())
     return Stage(DATA / "objects", DATA / "scenes.json")
+
+
+_threads_of: list[int] = []
+"""The process that started the native threads, once one has."""
+
+
+def check_threads() -> None:
+    """Raises InputError in a fork of a process that has loaded the stage.
+
+    A fork has none of the threads that render, and would wait for them for ever.
+    """
+    if _threads_of and _threads_of[0] != os.getpid():
+        raise InputError(
+            "this process was forked from one that has rendered or made episodes, and has none of its "
+            'threads; start it first, or with another context, such as AsyncVectorEnv(..., context="spawn")'
+        )
 
 
 @cache
@@ -163,11 +181,19 @@ def episodes_path(name: str | Path) -> Path:
 
 def load_episodes(name: str | Path, *, validate: bool = True) -> list[Episode]:
     """Episodes of a .json.gz file, or of a shipped set by name (`dev`). Raises InputError."""
-    episodes = [Episode(text) for text in read_episodes(episodes_path(name))]
-    if validate:
-        for episode in episodes:
+    path = episodes_path(name)
+    try:
+        episodes = [Episode(text) for text in read_episodes(path)]
+        for episode in episodes if validate else ():
             stage().validate(episode.text)
+    except InputError as error:
+        raise _of_file(path, error) from None
     return episodes
+
+
+def _of_file(path: Path, error: InputError) -> InputError:
+    """The error with the file's name, where it speaks of an episode alone."""
+    return error if str(path) in str(error) else InputError(f"{path}: {error}")
 
 
 def save_episodes(path: Path, episodes: Sequence[Episode]) -> None:

@@ -63,14 +63,17 @@ class TabletopEnvironment:
         camera = self.camera_at(node, pitch_index)
         return Observation(*self._world.render(node, pitch_index), camera, node, pitch_index)
 
+    def photograph(self, camera: Camera) -> Observation:
+        """The view of any camera, on the ring or not; it has no place there."""
+        return Observation(*self._world.render_camera(camera), camera)
+
     def camera_at(self, node: int, pitch_index: int) -> Camera:
         """The camera of any viewpoint. Raises InputError for one that does not exist."""
         return self._world.camera(whole("node", node), whole("pitch_index", pitch_index))
 
     def canonical_observation(self) -> Observation:
         """The view straight down on the middle of the scene; it has no place on the ring."""
-        camera = self._world.canonical_camera()
-        return Observation(*self._world.render_camera(camera), camera)
+        return self.photograph(self._world.canonical_camera())
 
     def action_mask(self) -> np.ndarray:
         """(15,) bool: which actions are possible from here."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,14 +69,11 @@ def orbit(dataset: Dataset, frames: int) -> list[Camera]:
         raise InputError(f"an orbit needs at least one frame, found {frames}")
     views = [dataset.camera(i) for i in range(len(dataset.names))]
     centers = np.array([v.center for v in views])
-    forwards = np.array([v.rotation[2] for v in views])
-    up = _up(views)
-    # The point nearest to all optical axes; parallel ones meet nowhere.
-    across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
-    matrix = across.sum(0)
-    if np.linalg.cond(matrix) > 1e6:
-        raise InputError(f"the cameras of {dataset.folder} look in one direction; there is nothing to orbit")
-    target = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centers))
+    up = up_axis(views)
+    try:
+        target = focus(views)
+    except InputError as error:
+        raise InputError(f"{dataset.folder}: {error}; there is nothing to orbit") from None
     arms = centers - target
     height = float(np.mean(arms @ up))
     radius = float(np.mean(np.linalg.norm(arms - np.outer(arms @ up, up), axis=1)))
@@ -87,8 +85,22 @@ def orbit(dataset: Dataset, frames: int) -> list[Camera]:
     return [_look_at(eye, target, up, like) for eye in eyes]
 
 
-def _up(views: list[Camera]) -> np.ndarray:
-    """What is perpendicular to all cameras' right: a camera that looks down has its own up tilted."""
+def focus(views: Sequence[Camera]) -> np.ndarray:
+    """(3,): the point nearest to all optical axes. Raises InputError for parallel ones."""
+    centers = np.array([v.center for v in views])
+    forwards = np.array([v.rotation[2] for v in views])
+    across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
+    matrix = across.sum(0)
+    if np.linalg.cond(matrix) > 1e6:
+        raise InputError("the cameras look in one direction")
+    return np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centers))
+
+
+def up_axis(views: Sequence[Camera]) -> np.ndarray:
+    """(3,) of length 1: what is perpendicular to all cameras' right; looking down tilts a camera's own up.
+
+    Raises InputError where the cameras agree on no direction.
+    """
     mean = _unit(-np.mean([v.rotation[1] for v in views], axis=0))
     rights = np.array([v.rotation[0] for v in views])
     values, vectors = np.linalg.eigh(rights.T @ rights / len(views))

@@ -58,6 +58,11 @@ class Dataset:
         """Positions (N, 3) and colours (N, 3) in [0, 1] of the sparse points."""
         return self._inner.points()
 
+    @property
+    def has_points(self) -> bool:
+        """Whether `points` are of the scene, and not random for want of any."""
+        return not any("random points" in note for note in self.notes)
+
     def index(self, name: str) -> int:
         """The view of this name. Raises InputError, with names that are near."""
         if name in self.names:
