@@ -1,5 +1,6 @@
 //! The objects that scenes are made of: categories, records, model files.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -94,8 +95,66 @@ pub struct ObjectRecord {
     pub size_m: [f32; 3],
     /// Stable poses, most probable first.
     pub resting: Vec<RestingPose>,
-    /// Seed that generates it, see [`crate::objects::generate`].
-    pub seed: u64,
+    /// Seed that generates it, see [`crate::objects::generate`]; `None` for an imported one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Where an imported one comes from and what was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported: Option<Imported>,
+}
+
+/// What the import of a model file found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Imported {
+    /// The file's name, without folders.
+    pub source: String,
+    /// Metres of one unit of the file.
+    pub metres_per_unit: f64,
+    /// The file's axis that points up.
+    pub up: Up,
+    /// Triangles.
+    pub triangles: usize,
+    /// Whether every edge is shared by triangles that agree about the outside.
+    pub closed: bool,
+    /// Enclosed volume where closed, else that of the convex hull, cubic metres.
+    pub volume_m3: f64,
+    /// Rough estimate from the volume, kilograms.
+    pub mass_kg: f64,
+    /// What the centre of mass, and with it the resting poses, were computed from.
+    pub mass_from: MassFrom,
+    /// What a person should look at.
+    pub warnings: Vec<String>,
+}
+
+/// A file's axis that points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Up {
+    /// As glTF has it.
+    Y,
+    /// As this project has it.
+    Z,
+}
+
+/// What a centre of mass was computed from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MassFrom {
+    /// The closed solid, evenly filled.
+    Solid,
+    /// The convex hull, evenly filled, because the surface is open.
+    Hull,
+}
+
+/// What a library says about a category: it must name each that the shipped set has not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CategoryEntry {
+    /// The category.
+    pub id: Category,
+    /// Verbs that it is valid for, each with the reason.
+    pub valid_for: BTreeMap<String, String>,
 }
 
 /// Why a catalogue was refused.
@@ -109,9 +168,28 @@ pub enum CatalogueError {
         /// All known ids.
         known: String,
     },
+    /// A name that cannot be a category's.
+    #[error(
+        "a category is named with lower-case letters, digits and `_`, a letter first, 48 characters at most; \
+         found `{0}`"
+    )]
+    CategoryName(String),
+    /// More categories than a process keeps.
+    #[error("more than {0} categories that the shipped set does not have, too many for one process")]
+    TooManyCategories(usize),
     /// An id that is no split.
     #[error("unknown split `{0}`, expected train, dev or eval")]
     UnknownSplit(String),
+    /// Two folders have objects of the same name.
+    #[error("object `{id}` is in {first} and in {second}, expected different ids")]
+    Twice {
+        /// The object.
+        id: String,
+        /// A folder.
+        first: String,
+        /// Another, or the same again.
+        second: String,
+    },
     /// A file could not be read or written.
     #[error("cannot access {path}: {source}")]
     Io {
@@ -138,39 +216,45 @@ pub enum CatalogueError {
     },
 }
 
-/// Objects in a folder: `catalogue.json` and the model files that it names.
+/// Objects in one folder or several: each has a `catalogue.json` and the model files that it names.
 #[derive(Clone, Debug)]
 pub struct Catalogue {
-    directory: PathBuf,
+    /// Each folder with the number of records up to its last.
+    folders: Vec<(PathBuf, usize)>,
     records: Vec<ObjectRecord>,
+    categories: Vec<CategoryEntry>,
 }
 
 /// Layout of `catalogue.json`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields, expecting = "an object with `version`, `licence` and `objects`")]
-struct File {
-    version: u32,
-    licence: String,
-    objects: Vec<ObjectRecord>,
+pub(crate) struct File {
+    pub(crate) version: u32,
+    pub(crate) licence: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) categories: Vec<CategoryEntry>,
+    pub(crate) objects: Vec<ObjectRecord>,
 }
 
 /// Format version of `catalogue.json`.
-const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 1;
+/// Name of the file that lists a folder's objects.
+pub(crate) const FILE_NAME: &str = "catalogue.json";
+/// Size of a catalogue's text up to which it is read.
+const LARGEST_BYTES: u64 = 256 << 20;
 
-impl Catalogue {
-    /// Reads `directory/catalogue.json` and checks every record and that every model file is
-    /// there.
-    ///
-    /// # Errors
-    /// [`CatalogueError`] naming the file and what is wrong with it.
-    pub fn load(directory: impl AsRef<Path>) -> Result<Self, CatalogueError> {
-        let directory = directory.as_ref().to_path_buf();
-        let path = directory.join("catalogue.json");
+impl File {
+    /// Reads and checks a folder's list; that the models exist is not looked at.
+    pub(crate) fn read(directory: &Path) -> Result<Self, CatalogueError> {
+        let path = directory.join(FILE_NAME);
         let name = path.display().to_string();
+        let io = |source| CatalogueError::Io { path: name.clone(), source };
         let invalid = |reason: String| CatalogueError::Invalid { path: name.clone(), reason };
-        let text =
-            std::fs::read_to_string(&path).map_err(|source| CatalogueError::Io { path: name.clone(), source })?;
-        let file: File = serde_json::from_str(&text).map_err(|e| invalid(e.to_string()))?;
+        if std::fs::metadata(&path).map_err(io)?.len() > LARGEST_BYTES {
+            return Err(invalid(format!("it has more than {} MiB", LARGEST_BYTES >> 20)));
+        }
+        let text = std::fs::read_to_string(&path).map_err(io)?;
+        let file: Self = serde_json::from_str(&text).map_err(|e| invalid(e.to_string()))?;
         if file.version != VERSION {
             return Err(invalid(format!("version {}, expected {VERSION}", file.version)));
         }
@@ -180,11 +264,67 @@ impl Catalogue {
             if !seen.insert(record.id.as_str()) {
                 return Err(invalid(format!("object `{}` appears twice", record.id)));
             }
-            let model = directory.join(&record.file);
-            std::fs::metadata(&model)
-                .map_err(|source| CatalogueError::Io { path: model.display().to_string(), source })?;
+            let category = record.category;
+            if category.is_own() && !file.categories.iter().any(|c| c.id == category) {
+                return Err(invalid(format!(
+                    "object `{}`: unknown category `{category}`, neither one of the shipped set nor named under \
+                     `categories`",
+                    record.id
+                )));
+            }
         }
-        Ok(Self { directory, records: file.objects })
+        Ok(file)
+    }
+}
+
+impl Catalogue {
+    /// Reads `directory/catalogue.json` and checks every record and that every model file is
+    /// there.
+    ///
+    /// # Errors
+    /// [`CatalogueError`] naming the file and what is wrong with it.
+    pub fn load(directory: impl AsRef<Path>) -> Result<Self, CatalogueError> {
+        Self::load_all(&[directory])
+    }
+
+    /// Several folders as one catalogue, in their order.
+    ///
+    /// # Errors
+    /// As [`Catalogue::load`]; also [`CatalogueError::Twice`] when two folders share an id.
+    pub fn load_all(directories: &[impl AsRef<Path>]) -> Result<Self, CatalogueError> {
+        let mut all = Self { folders: vec![], records: vec![], categories: vec![] };
+        let mut home = std::collections::HashMap::<String, usize>::new();
+        for (i, directory) in directories.iter().enumerate() {
+            let directory = directory.as_ref().to_path_buf();
+            let file = File::read(&directory)?;
+            for record in &file.objects {
+                let model = directory.join(&record.file);
+                std::fs::metadata(&model)
+                    .map_err(|source| CatalogueError::Io { path: model.display().to_string(), source })?;
+                if let Some(first) = home.insert(record.id.clone(), i) {
+                    let name = |i: usize| directories[i].as_ref().display().to_string();
+                    return Err(CatalogueError::Twice { id: record.id.clone(), first: name(first), second: name(i) });
+                }
+            }
+            all.records.extend(file.objects);
+            all.categories.extend(file.categories);
+            all.folders.push((directory, all.records.len()));
+        }
+        Ok(all)
+    }
+
+    /// What the folders say about categories.
+    pub fn categories(&self) -> &[CategoryEntry] {
+        &self.categories
+    }
+
+    /// The category called `id`: one of the shipped set or of this catalogue.
+    ///
+    /// # Errors
+    /// [`CatalogueError::UnknownCategory`].
+    pub fn category(&self, id: &str) -> Result<Category, CatalogueError> {
+        let own = self.categories.iter().map(|c| c.id).find(|c| c.id() == id);
+        own.map_or_else(|| id.parse(), Ok)
     }
 
     /// All records, in file order.
@@ -204,7 +344,9 @@ impl Catalogue {
 
     /// Where a record's model file lies.
     pub fn path(&self, record: &ObjectRecord) -> PathBuf {
-        self.directory.join(&record.file)
+        let at = self.records.iter().position(|r| r.id == record.id).unwrap_or(0);
+        let home = self.folders.iter().find(|(_, end)| at < *end).map_or(Path::new(""), |(folder, _)| folder);
+        home.join(&record.file)
     }
 
     /// Loads a record's model.
@@ -239,20 +381,33 @@ fn check(record: &ObjectRecord) -> Result<(), String> {
     Ok(())
 }
 
+fn no_generator(category: Category) -> CatalogueError {
+    let known = Category::ALL.iter().map(|c| c.id()).collect::<Vec<_>>().join(", ");
+    CatalogueError::UnknownCategory { found: category.id().into(), known }
+}
+
 /// Seed of the shipped catalogue's first instance of every category and split.
 const FIRST_SEED: u64 = 10;
 
 /// The record and the model of one object of the shipped catalogue: instance `index` of a
-/// category and split.
-pub fn make(category: Category, split: Split, index: u64) -> (ObjectRecord, Model) {
+/// category and split; `None` for a category without a generator.
+pub fn make(category: Category, split: Split, index: u64) -> Option<(ObjectRecord, Model)> {
     let seed = FIRST_SEED + index;
-    let model = crate::objects::generate(category, split, seed);
+    let model = crate::objects::generate(category, split, seed)?;
     let (low, high) = model.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
     let id = format!("{category}_{split}_{index}");
     let resting = crate::objects::resting::resting_poses(&model, category.natural_share());
-    let record =
-        ObjectRecord { file: format!("{id}.glb"), id, category, split, size_m: (high - low).to_array(), resting, seed };
-    (record, model)
+    let record = ObjectRecord {
+        file: format!("{id}.glb"),
+        id,
+        category,
+        split,
+        size_m: (high - low).to_array(),
+        resting,
+        seed: Some(seed),
+        imported: None,
+    };
+    Some((record, model))
 }
 
 /// Writes the shipped catalogue, or the categories given, into `directory`: a GLB per object and
@@ -274,14 +429,14 @@ pub fn write(directory: impl AsRef<Path>, categories: &[Category]) -> Result<Vec
     let objects = jobs
         .into_par_iter()
         .map(|(category, split, index)| {
-            let (record, model) = make(category, split, index);
+            let (record, model) = make(category, split, index).ok_or_else(|| no_generator(category))?;
             let path = directory.join(&record.file);
             std::fs::write(&path, fuse_render::to_glb(&model)).map_err(io(&path))?;
             Ok(record)
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let path = directory.join("catalogue.json");
-    let file = File { version: VERSION, licence: "CC0-1.0".into(), objects };
+    let path = directory.join(FILE_NAME);
+    let file = File { version: VERSION, licence: "CC0-1.0".into(), categories: vec![], objects };
     let mut text = serde_json::to_string_pretty(&file)
         .map_err(|e| CatalogueError::Invalid { path: path.display().to_string(), reason: e.to_string() })?;
     text.push('\n');
