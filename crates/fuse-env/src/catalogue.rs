@@ -1,6 +1,5 @@
 //! The objects that scenes are made of: categories, records, model files.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -11,6 +10,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use crate::category::Category;
+use crate::import::Imported;
+use crate::library::CategoryEntry;
 
 /// Which part of the work an object or scene may be used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -103,60 +104,6 @@ pub struct ObjectRecord {
     pub imported: Option<Imported>,
 }
 
-/// What the import of a model file found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Imported {
-    /// The file's name, without folders.
-    pub source: String,
-    /// Metres of one unit of the file.
-    pub metres_per_unit: f64,
-    /// The file's axis that points up.
-    pub up: Up,
-    /// Triangles.
-    pub triangles: usize,
-    /// Whether every edge is shared by triangles that agree about the outside.
-    pub closed: bool,
-    /// Enclosed volume where closed, else that of the convex hull, cubic metres.
-    pub volume_m3: f64,
-    /// Rough estimate from the volume, kilograms.
-    pub mass_kg: f64,
-    /// What the centre of mass, and with it the resting poses, were computed from.
-    pub mass_from: MassFrom,
-    /// What a person should look at.
-    pub warnings: Vec<String>,
-}
-
-/// A file's axis that points up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Up {
-    /// As glTF has it.
-    Y,
-    /// As this project has it.
-    Z,
-}
-
-/// What a centre of mass was computed from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum MassFrom {
-    /// The closed solid, evenly filled.
-    Solid,
-    /// The convex hull, evenly filled, because the surface is open.
-    Hull,
-}
-
-/// What a library says about a category: it must name each that the shipped set has not.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CategoryEntry {
-    /// The category.
-    pub id: Category,
-    /// Verbs that it is valid for, each with the reason.
-    pub valid_for: BTreeMap<String, String>,
-}
-
 /// Why a catalogue was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogueError {
@@ -180,6 +127,14 @@ pub enum CatalogueError {
     /// An id that is no split.
     #[error("unknown split `{0}`, expected train, dev or eval")]
     UnknownSplit(String),
+    /// The library has an object of that name.
+    #[error("object `{id}` is in {library} already; --replace puts the new one in its place")]
+    Exists {
+        /// The object.
+        id: String,
+        /// The folder.
+        library: String,
+    },
     /// Two folders have objects of the same name.
     #[error("object `{id}` is in {first} and in {second}, expected different ids")]
     Twice {

@@ -13,6 +13,7 @@ pub mod finish;
 mod handtools;
 pub mod hull;
 mod kitchen;
+pub mod measure;
 mod office;
 mod pantry;
 mod parts;
