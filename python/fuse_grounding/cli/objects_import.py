@@ -23,9 +23,7 @@ PIXELS = 256
 def import_(
     files: Annotated[list[Path], typer.Argument(help="Model files: .glb, .gltf or .obj.")],
     category: Annotated[str, typer.Option(help="What they are; one that is not shipped is a new one.")],
-    library: Annotated[
-        Path, typer.Option(help="Folder of the library; made when there is none.")
-    ] = Path("library"),
+    library: Annotated[Path, typer.Option(help="Folder of the library, old or new.")] = Path("library"),
     verbs: Annotated[
         str | None,
         typer.Option(help="What the category is valid for, with commas: cut,scoop.", show_default=False),
