@@ -169,7 +169,9 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Import, ImportErro
         let why = if closed { "it encloses no volume".into() } else { format!("it is open ({open_edges} edges)") };
         warnings.push(format!("{why}: mass, centre of mass and resting poses are those of its convex hull"));
     }
-    let resting = resting::thrown_poses(&model, centre);
+    // People put a mug on its bottom; of things that the shipped set does not have, nothing is known.
+    let natural = (!options.category.is_own()).then(|| options.category.natural_share());
+    let resting = resting::foreign_poses(&model, centre, natural);
     let source = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let imported = Imported {
         source,

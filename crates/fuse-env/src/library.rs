@@ -52,15 +52,17 @@ pub fn add(
             let reason = "there is none, and the folder is not empty; expected a library or a new folder".into();
             return Err(CatalogueError::Invalid { path, reason });
         }
-        File { version: VERSION, licence: "as stated by the models' makers".into(), categories: vec![], objects: vec![] }
+        File {
+            version: VERSION,
+            licence: "as stated by the models' makers".into(),
+            categories: vec![],
+            objects: vec![],
+        }
     };
     let record = &import.record;
     match file.objects.iter_mut().find(|r| r.id == record.id) {
         Some(_) if !replace => {
-            return Err(CatalogueError::Exists {
-                id: record.id.clone(),
-                library: directory.display().to_string(),
-            });
+            return Err(CatalogueError::Exists { id: record.id.clone(), library: directory.display().to_string() });
         }
         Some(old) => *old = record.clone(),
         None => file.objects.push(record.clone()),

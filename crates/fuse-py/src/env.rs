@@ -27,9 +27,8 @@ fn viewpoint(node: u32, pitch_index: u32) -> PyResult<Viewpoint> {
 
 /// A validity table over the shipped categories and those of the stage's libraries.
 fn categories(stage: &world::Stage, table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
-    let parse = |names: Vec<String>| {
-        names.iter().map(|n| stage.catalogue().category(n)).collect::<Result<Vec<Category>, _>>()
-    };
+    let parse =
+        |names: Vec<String>| names.iter().map(|n| stage.catalogue().category(n)).collect::<Result<Vec<Category>, _>>();
     let rows = table.into_iter().map(|(verb, names)| Ok((verb, parse(names)?)));
     rows.collect::<Result<_, fuse_env::catalogue::CatalogueError>>().map_err(|e| input(e.to_string()))
 }

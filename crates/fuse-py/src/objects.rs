@@ -229,7 +229,8 @@ fn write_objects(py: Python<'_>, directory: &str, categories: Option<Vec<String>
 fn write_object(py: Python<'_>, path: &str, category: &str, split: &str, seed: u64) -> PyResult<()> {
     let category: Category = category.parse().map_err(|e| input(format!("{e}")))?;
     let split: Split = split.parse().map_err(|e| input(format!("{e}")))?;
-    let Some(model) = enter(py, || Ok::<_, fuse_render::ModelError>(fuse_env::objects::generate(category, split, seed)))?
+    let Some(model) =
+        enter(py, || Ok::<_, fuse_render::ModelError>(fuse_env::objects::generate(category, split, seed)))?
     else {
         return Err(input(format!("category `{category}` has no generator")));
     };

@@ -69,8 +69,7 @@ impl Importer<'_> {
     fn run(&mut self) -> Result<(), String> {
         let document = self.document;
         for m in document.materials() {
-            let Painted { material, set, transform } =
-                material::material(&m, &mut self.textures, &mut self.notes)?;
+            let Painted { material, set, transform } = material::material(&m, &mut self.textures, &mut self.notes)?;
             self.model.materials.push(material);
             self.placements.push((set, transform));
         }

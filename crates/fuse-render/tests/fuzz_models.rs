@@ -51,7 +51,19 @@ fn attempt(path: &Path, bytes: &[u8], number: u32) -> bool {
 /// A number, name or value of JSON for another.
 fn edit(json: &[u8], seed: u32) -> Vec<u8> {
     const VALUES: [&str; 14] = [
-        "0", "1", "3", "7", "255", "5120", "5126", "4294967295", "18446744073709551615", "-1", "1e30", "null", "\"x\"",
+        "0",
+        "1",
+        "3",
+        "7",
+        "255",
+        "5120",
+        "5126",
+        "4294967295",
+        "18446744073709551615",
+        "-1",
+        "1e30",
+        "null",
+        "\"x\"",
         "[]",
     ];
     let mut state = u64::from(seed).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -97,8 +109,10 @@ fn corpus(reader: &str, folder: &Path) -> Vec<(PathBuf, String)> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
     let list = std::fs::read_to_string(source.join("expected.txt")).unwrap();
     let expected: BTreeMap<&str, &str> = list.lines().map(|l| l.split_once('\t').unwrap()).collect();
-    let mut names: Vec<_> =
-        std::fs::read_dir(source.join(reader)).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = std::fs::read_dir(source.join(reader))
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     let mut files = vec![];
     for name in names {

@@ -46,9 +46,8 @@ const FILLED: f64 = 1e-3;
 /// Measures a model, all of it taken as of one density.
 pub fn measure(model: &Model) -> Measures {
     let open_edges = open_edges(model);
-    let triangles = model.meshes.iter().flat_map(|m| {
-        m.triangles.iter().map(|t| t.map(|i| m.positions[i as usize].as_dvec3()))
-    });
+    let triangles =
+        model.meshes.iter().flat_map(|m| m.triangles.iter().map(|t| t.map(|i| m.positions[i as usize].as_dvec3())));
     let (volume, moment) = solid(triangles);
     let (mut whole, mut centre) = (0.0, DVec3::ZERO);
     match hull(model) {

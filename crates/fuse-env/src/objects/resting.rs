@@ -152,15 +152,18 @@ pub fn resting_poses(model: &Model, natural: f32) -> Vec<RestingPose> {
     poses(model, found, Some(f64::from(natural)))
 }
 
-/// Stable poses of a model with a centre of mass, most probable first, each with the share of
-/// throws that end in it; shares sum to 1. A model that spans no volume keeps its own pose.
-pub fn thrown_poses(model: &Model, centre: DVec3) -> Vec<RestingPose> {
-    poses(model, hull(model).map_or_else(Vec::new, |hull| supports(&hull, centre)), None)
+/// Stable poses of a model with a given centre of mass, most probable first, each with the share of
+/// throws that end in it; shares sum to 1. With `natural`, the model's own pose has that share if it
+/// is stable. A model that spans no volume keeps its own pose.
+pub fn foreign_poses(model: &Model, centre: DVec3, natural: Option<f32>) -> Vec<RestingPose> {
+    let found = hull(model).map_or_else(Vec::new, |hull| supports(&hull, centre));
+    poses(model, found, natural.map(f64::from))
 }
 
 /// Records of supports; the model's own pose gets the share `natural`, if that is given.
 fn poses(model: &Model, found: Vec<Support>, natural: Option<f64>) -> Vec<RestingPose> {
-    let own = found.iter().position(|s| s.down.dot(DVec3::NEG_Z) > OWN.to_radians().cos()).filter(|_| natural.is_some());
+    let own =
+        found.iter().position(|s| s.down.dot(DVec3::NEG_Z) > OWN.to_radians().cos()).filter(|_| natural.is_some());
     let mut kept: Vec<(DVec3, f64)> = vec![];
     let natural = natural.unwrap_or(0.0);
     let others: f64 = found.iter().enumerate().filter(|&(i, _)| Some(i) != own).map(|(_, s)| s.share).sum();

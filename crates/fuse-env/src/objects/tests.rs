@@ -5,12 +5,12 @@ use std::collections::{HashMap, HashSet};
 use fuse_render::Model;
 use glam::{Quat, Vec2, Vec3};
 
+use super::Workshop;
 use super::dice::{Families, bands, hues};
 use super::hull::Hull;
 use super::resting::{centre_of_mass, resting_poses};
 use super::sweep::rounded_box;
 use super::table::{Stuff, finishes, shapes};
-use super::Workshop;
 use crate::catalogue::{Category, Split};
 
 fn generate(category: Category, split: Split, seed: u64) -> Model {

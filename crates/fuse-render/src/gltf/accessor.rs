@@ -40,7 +40,8 @@ fn packed(buffers: &[Vec<u8>], accessor: &Accessor<'_>) -> Result<Vec<u8>, Strin
     };
     let base = view_bytes(buffers, &view)?;
     let stride = view.stride().unwrap_or(size);
-    let mut out: Vec<u8> = elements(base, [accessor.offset(), count, size, stride], &what)?.flatten().copied().collect();
+    let mut out: Vec<u8> =
+        elements(base, [accessor.offset(), count, size, stride], &what)?.flatten().copied().collect();
     if let Some(sparse) = accessor.sparse() {
         let (indices, values) = (sparse.indices(), sparse.values());
         let width = match indices.index_type() {

@@ -47,7 +47,9 @@ pub fn check(bytes: &[u8]) -> Result<Vec<String>, String> {
     }
     let mut notes = vec![];
     if large > 0 {
-        notes.push(format!("{large} faces have more than four corners: each is cut into a fan, right where it is convex"));
+        notes.push(format!(
+            "{large} faces have more than four corners: each is cut into a fan, right where it is convex"
+        ));
     }
     if other > 0 {
         notes.push("curves and free-form surfaces are left out".into());
