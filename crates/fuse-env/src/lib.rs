@@ -6,6 +6,8 @@ pub mod category;
 pub mod configuration;
 pub mod episode;
 pub mod generate;
+pub mod import;
+pub mod library;
 pub mod metrics;
 pub mod objects;
 pub mod placement;

@@ -25,8 +25,10 @@ fn viewpoint(node: u32, pitch_index: u32) -> PyResult<Viewpoint> {
     Viewpoint::new(node, pitch_index).map_err(|e| input(e.to_string()))
 }
 
-fn categories(table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
-    let parse = |names: Vec<String>| names.iter().map(|n| n.parse::<Category>()).collect::<Result<Vec<_>, _>>();
+/// A validity table over the shipped categories and those of the stage's libraries.
+fn categories(stage: &world::Stage, table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
+    let parse =
+        |names: Vec<String>| names.iter().map(|n| stage.catalogue().category(n)).collect::<Result<Vec<Category>, _>>();
     let rows = table.into_iter().map(|(verb, names)| Ok((verb, parse(names)?)));
     rows.collect::<Result<_, fuse_env::catalogue::CatalogueError>>().map_err(|e| input(e.to_string()))
 }
@@ -41,7 +43,9 @@ fn told(made: Vec<(Episode, generate::Rejections)>) -> PyResult<Made> {
 
 /// Objects and scenes, each loaded or painted once and shared by all worlds.
 ///
-/// Stage(objects_directory, scenes_path)
+/// Stage(objects_directory, scenes_path, libraries=())
+///
+/// `libraries`: further folders of objects, such as `fuse objects import` makes.
 ///
 /// Raises InputError that names the file when something is missing or not what it should be.
 #[pyclass(frozen, module = "fuse_grounding")]
@@ -52,9 +56,30 @@ pub struct Stage {
 #[pymethods]
 impl Stage {
     #[new]
-    fn new(py: Python<'_>, objects_directory: PathBuf, scenes_path: PathBuf) -> PyResult<Self> {
-        let inner = enter(py, || world::Stage::load(&objects_directory, &scenes_path))?;
+    #[pyo3(signature = (objects_directory, scenes_path, libraries=vec![]))]
+    fn new(
+        py: Python<'_>,
+        objects_directory: PathBuf,
+        scenes_path: PathBuf,
+        libraries: Vec<PathBuf>,
+    ) -> PyResult<Self> {
+        let folders: Vec<PathBuf> = std::iter::once(objects_directory).chain(libraries).collect();
+        let inner = enter(py, || world::Stage::load_with(&folders, &scenes_path))?;
         Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// What the libraries state: verb -> categories valid for it, to be put into a validity table.
+    fn stated(&self) -> BTreeMap<String, Vec<&'static str>> {
+        let mut table: BTreeMap<String, Vec<&'static str>> = BTreeMap::new();
+        for entry in self.inner.catalogue().categories() {
+            for verb in entry.valid_for.keys() {
+                let row = table.entry(verb.clone()).or_default();
+                if !row.contains(&entry.id.id()) {
+                    row.push(entry.id.id());
+                }
+            }
+        }
+        table
     }
 
     /// Names of the scenes, with split, whether the table is weakly textured, and a description.
@@ -78,7 +103,7 @@ impl Stage {
         seed: u64,
         episode_id: String,
     ) -> PyResult<(String, BTreeMap<&'static str, u32>)> {
-        let validity = categories(validity)?;
+        let validity = categories(&self.inner, validity)?;
         let request = Request { scene, verb, query, seed, episode_id };
         let (episode, rejections) = enter(py, || generate::episode(&self.inner, &validity, &request))?;
         Ok((to_json(&episode)?, rejections))
@@ -96,7 +121,7 @@ impl Stage {
         seed: u64,
     ) -> PyResult<Made> {
         let split: Split = split.parse().map_err(|e: fuse_env::catalogue::CatalogueError| input(e.to_string()))?;
-        let validity = categories(validity)?;
+        let validity = categories(&self.inner, validity)?;
         let requests = generate::requests(self.inner.scenes(), split, &queries, count, seed);
         if requests.len() < count {
             return Err(input(format!(
