@@ -1,18 +1,19 @@
 //! Making episodes: a target for a verb, distractors with near misses, a layout, and a start from
 //! which the target is partly hidden although some viewpoint shows it well.
 
+mod choose;
+mod lay;
+
 use std::collections::BTreeMap;
 
-use glam::Vec2;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::catalogue::{Category, ObjectRecord, Split};
+use crate::catalogue::{Category, Split};
 use crate::configuration::SceneConfiguration;
-use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, Quaternion, START_FRACTION};
-use crate::placement::{self, Item, Placed, Rest, Surface};
+use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, START_FRACTION};
 use crate::ring::{Ring, Viewpoint};
 use crate::targets::{TargetStatistics, estimate, statistics};
 use crate::world::{Stage, WorldError};
@@ -30,9 +31,6 @@ const WELL_SEEN: f32 = 0.8;
 /// Pixels that the target would have at the start if it stood alone, at least: its hiding must come
 /// from other objects, not from being far away or cut by the picture's edge.
 const START_UNOCCLUDED_PX: u32 = 500;
-/// Chance of a further valid object among the distractors, for each of two.
-const SECOND_TARGET: f64 = 0.3;
-
 /// Reason for throwing a layout away.
 const NOT_HIDDEN: &str = "no view where the target is partly hidden";
 
@@ -110,92 +108,6 @@ fn reasons(rejections: &Rejections) -> String {
     counted.iter().map(|(reason, times)| format!("{reason}: {times}")).collect::<Vec<_>>().join(", ")
 }
 
-/// Looks and handling: things of one family are near misses of each other.
-fn family(category: Category) -> u8 {
-    use Category as C;
-    match category {
-        C::Mug | C::Bowl | C::Pitcher | C::WaterBottle | C::Teapot => 0,
-        C::Sponge | C::Towel | C::Book => 1,
-        _ => 2,
-    }
-}
-
-/// A target and its distractors, the target first; all of recognised categories.
-fn choose<'a>(
-    stage: &'a Stage,
-    scene: &SceneConfiguration,
-    valid: &[Category],
-    strict: bool,
-    rng: &mut ChaCha8Rng,
-) -> Option<Vec<&'a ObjectRecord>> {
-    let mut all: Vec<&ObjectRecord> =
-        stage.catalogue().of(scene.split).filter(|r| r.category.is_recognised()).collect();
-    let mut categories: Vec<Category> = all.iter().map(|r| r.category).filter(|c| valid.contains(c)).collect();
-    categories.dedup();
-    let category = *categories.choose(rng)?;
-    let mine: Vec<&ObjectRecord> = all.iter().copied().filter(|r| r.category == category).collect();
-    let target = *mine.choose(rng)?;
-    all.retain(|r| r.id != target.id);
-    all.shuffle(rng);
-    let [low, high] = scene.clutter.distractors;
-    let wanted = rng.random_range(low..=high) as usize;
-    let mut chosen = vec![target];
-    let mut seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET) || !strict).count();
-    let near = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == family(category);
-    let tall = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == 0;
-    for (rule, count) in [(&near as &dyn Fn(&ObjectRecord) -> bool, 3), (&tall, 3), (&|_: &ObjectRecord| true, wanted)]
-    {
-        let mut left = count.min((wanted + 1).saturating_sub(chosen.len()));
-        all.retain(|r| {
-            let second = valid.contains(&r.category);
-            if left == 0 || !rule(r) || (second && seconds == 0) {
-                return true;
-            }
-            left -= 1;
-            seconds -= usize::from(second);
-            chosen.push(*r);
-            false
-        });
-    }
-    Some(chosen)
-}
-
-fn object(instance_id: u32, record: &ObjectRecord, placed: &Placed) -> EpisodeObject {
-    let q = placed.rotation;
-    EpisodeObject {
-        instance_id,
-        model_id: record.id.clone(),
-        category: record.category,
-        translation: placed.translation.to_array(),
-        rotation: Quaternion { w: q.w, x: q.x, y: q.y, z: q.z },
-    }
-}
-
-/// Lays the chosen things out, tall ones right after the target so that they come close to it.
-fn lay(
-    stage: &Stage,
-    scene: &SceneConfiguration,
-    mut records: Vec<&ObjectRecord>,
-    rng: &mut ChaCha8Rng,
-) -> Result<Result<Vec<EpisodeObject>, &'static str>, WorldError> {
-    records[1..].sort_by(|a, b| b.size_m[2].total_cmp(&a.size_m[2]));
-    let models = records.iter().map(|r| stage.model(&r.id)).collect::<Result<Vec<_>, _>>()?;
-    let rests: Vec<Vec<Rest>> = records
-        .iter()
-        .map(|r| r.resting.iter().map(|p| Rest { rotation: p.rotation(), probability: p.probability }).collect())
-        .collect();
-    let items: Vec<Item<'_>> =
-        models.iter().zip(&rests).map(|(model, rests)| Item { model: model.as_ref(), rests }).collect();
-    let mut surface = Surface::of(scene);
-    // The heap is not always in the middle of the table.
-    surface.center += Vec2::from_angle(rng.random_range(0.0..std::f32::consts::TAU)) * surface.extent * 0.15;
-    let Ok(placed) = placement::place(&items, &surface, rng) else { return Ok(Err("no room on the table")) };
-    let mut ids: Vec<u32> = (1..=records.len() as u32).collect();
-    ids.shuffle(rng);
-    let objects = records.iter().zip(&placed).zip(ids).map(|((r, p), id)| object(id, r, p)).collect();
-    Ok(Ok(objects))
-}
-
 /// Viewpoints from which the target is partly hidden; if `strict`, only those where no other valid
 /// thing stands in full view. `slack` widens the bounds, for estimates.
 fn starts(targets: &[TargetStatistics], strict: bool, slack: f32) -> Vec<Viewpoint> {
@@ -226,10 +138,10 @@ pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<
         let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
         rng.set_stream(attempt);
         let strict = attempt < STRICT_ATTEMPTS;
-        let records = choose(stage, scene, valid, strict, &mut rng)
+        let records = choose::choose(stage, scene, validity, &request.verb, strict, &mut rng)
             .ok_or_else(|| GenerateError::NoTarget { verb: request.verb.clone(), split: scene.split })?;
         let mut reject = |reason| *rejections.entry(reason).or_insert(0) += 1;
-        let objects = match lay(stage, scene, records, &mut rng)? {
+        let objects = match lay::lay(stage, scene, records, &mut rng)? {
             Ok(objects) => objects,
             Err(reason) => {
                 reject(reason);
