@@ -139,8 +139,16 @@ def test_arrays_of_every_wrong_kind_are_refused(function: str):
         (lambda: step(pose=np.diag([1.0, 1, -1, 1])), "rotation"),
         (lambda: make_episode("cut", seed=1.5), "seed must be a whole number from 0"),  # type: ignore[arg-type]
         (lambda: make_episode(3), "verb must be a str, found int"),  # type: ignore[arg-type]
-        (lambda: make_episode("scrub"), "`scrub` is known, but no episode asks for it yet"),
-        (lambda: make_episode("roll"), "verbs with episodes: cut, scoop, pour"),
+        (lambda: make_episode("fly"), "unknown verb `fly`; known verbs: beat, cut, erase"),
+        (
+            lambda: make_episode("cut", difficulty={"near_mises": 2}),
+            "unknown difficulty `near_mises`; did you mean `near_misses`? known: start_fraction",
+        ),
+        (
+            lambda: make_episode("cut", difficulty={"near_misses": 99}),
+            "difficulty `near_misses` must be 0 to 14, found 99",
+        ),
+        (lambda: make_episode("cut", difficulty={"good_px": "x"}), "difficulty: invalid type: string"),
         (lambda: splat.render("x", CAMERA), "gaussians must be a Gaussians, found str"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), 3), "camera must be a Camera, found int"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), CAMERA, "red"), "background must be three numbers"),  # type: ignore[arg-type]

@@ -230,6 +230,12 @@ fn default_difficulty() -> PyResult<String> {
     to_json(&Difficulty::default())
 }
 
+/// Groups of categories that look or are handled alike: those of a group are near misses of each other.
+#[pyfunction]
+fn kin_categories() -> Vec<Vec<&'static str>> {
+    generate::KIN.iter().map(|group| group.iter().map(|c| c.id()).collect()).collect()
+}
+
 /// Fewest actions from a viewpoint to each of the 108, by `3 node + pitch index`.
 #[pyfunction]
 fn moves_to_all(node: u32, pitch_index: u32) -> PyResult<Vec<u32>> {
@@ -300,5 +306,6 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(read_statistics, module)?)?;
     module.add_function(wrap_pyfunction!(write_statistics, module)?)?;
     module.add_function(wrap_pyfunction!(default_difficulty, module)?)?;
+    module.add_function(wrap_pyfunction!(kin_categories, module)?)?;
     module.add_function(wrap_pyfunction!(moves_to_all, module)?)
 }

@@ -12,7 +12,7 @@ use crate::difficulty::Difficulty;
 use crate::world::Stage;
 
 /// Things that look or are handled alike: those of one kin are near misses of each other.
-const KIN: &[&[Category]] = {
+pub const KIN: &[&[Category]] = {
     use Category::*;
     &[
         &[Knife, ButterKnife, BoxCutter, Scissors, Spatula, Fork],
