@@ -118,9 +118,9 @@ def _summary(name: str, path: Path, episodes: Sequence[Episode], generation: dic
     purpose = f" It is {SETS[name].purpose}." if name in SETS and generation is not None else ""
     verbs, scenes = {e.verb for e in episodes}, {e.scene_id for e in episodes}
     return (
-        f"{len(episodes)} searches for {len(verbs)} verbs in {len(scenes)} scenes; scenes and objects are those "
-        f"of split `{episodes[0].split}`.{purpose} Everything below is written by `fuse episodes card {name}`; "
-        "[the world](../world.md) says what the words mean."
+        f"{len(episodes)} searches for {len(verbs)} verbs in {len(scenes)} scenes; scenes and objects are "
+        f"those of split `{episodes[0].split}`.{purpose} Everything below is written by "
+        f"`fuse episodes card {name}`; [the world](../world.md) says what the words mean."
     )
 
 
