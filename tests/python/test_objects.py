@@ -199,7 +199,7 @@ def test_missing_and_broken_catalogues_are_named(broken: Path, capsys: pytest.Ca
     path = broken / "catalogue.json"
     whole = path.read_text()
     path.write_text(whole.replace('"category": "book"', '"category": "boat"', 1))
-    assert "catalogue.json is not an object catalogue: unknown variant `boat`" in fails(list_, capsys)
+    assert "object `book_train_0`: unknown category `boat`, neither" in fails(list_, capsys)
     path.write_text(whole.replace("book_train_0.glb", "../book_train_0.glb"))
     assert "must be a path inside the catalogue's folder" in fails(list_, capsys)
     path.write_text(whole[: len(whole) // 2])

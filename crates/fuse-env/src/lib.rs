@@ -7,6 +7,8 @@ pub mod configuration;
 pub mod difficulty;
 pub mod episode;
 pub mod generate;
+pub mod import;
+pub mod library;
 pub mod metrics;
 pub mod objects;
 pub mod placement;

@@ -55,7 +55,12 @@ pub struct Stage {
 impl Stage {
     /// From the folder of objects and the scenes file.
     pub fn load(objects: &Path, scenes: &Path) -> Result<Self, WorldError> {
-        Ok(Self::new(Catalogue::load(objects)?, configuration::load(scenes)?))
+        Self::load_with(&[objects], scenes)
+    }
+
+    /// From several folders of objects, such as the shipped one and a user's, and the scenes file.
+    pub fn load_with(objects: &[impl AsRef<Path>], scenes: &Path) -> Result<Self, WorldError> {
+        Ok(Self::new(Catalogue::load_all(objects)?, configuration::load(scenes)?))
     }
 
     /// From what is loaded already.

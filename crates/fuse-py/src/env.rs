@@ -29,8 +29,10 @@ fn viewpoint(node: u32, pitch_index: u32) -> PyResult<Viewpoint> {
     Viewpoint::new(node, pitch_index).map_err(|e| input(e.to_string()))
 }
 
-fn categories(table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
-    let parse = |names: Vec<String>| names.iter().map(|n| n.parse::<Category>()).collect::<Result<Vec<_>, _>>();
+/// A validity table over the shipped categories and those of the stage's libraries.
+fn categories(stage: &world::Stage, table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
+    let parse =
+        |names: Vec<String>| names.iter().map(|n| stage.catalogue().category(n)).collect::<Result<Vec<Category>, _>>();
     let rows = table.into_iter().map(|(verb, names)| Ok((verb, parse(names)?)));
     rows.collect::<Result<_, fuse_env::catalogue::CatalogueError>>().map_err(|e| input(e.to_string()))
 }
@@ -53,7 +55,9 @@ fn request((scene, verb, query, seed, episode_id): Asked) -> Request {
 
 /// Objects and scenes, each loaded or painted once and shared by all worlds.
 ///
-/// Stage(objects_directory, scenes_path)
+/// Stage(objects_directory, scenes_path, libraries=())
+///
+/// `libraries`: further folders of objects, such as `fuse objects import` makes.
 ///
 /// Raises InputError that names the file when something is missing or not what it should be.
 #[pyclass(frozen, module = "fuse_grounding")]
@@ -64,9 +68,30 @@ pub struct Stage {
 #[pymethods]
 impl Stage {
     #[new]
-    fn new(py: Python<'_>, objects_directory: PathBuf, scenes_path: PathBuf) -> PyResult<Self> {
-        let inner = enter(py, || world::Stage::load(&objects_directory, &scenes_path))?;
+    #[pyo3(signature = (objects_directory, scenes_path, libraries=vec![]))]
+    fn new(
+        py: Python<'_>,
+        objects_directory: PathBuf,
+        scenes_path: PathBuf,
+        libraries: Vec<PathBuf>,
+    ) -> PyResult<Self> {
+        let folders: Vec<PathBuf> = std::iter::once(objects_directory).chain(libraries).collect();
+        let inner = enter(py, || world::Stage::load_with(&folders, &scenes_path))?;
         Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// What the libraries state: verb -> categories valid for it, to be put into a validity table.
+    fn stated(&self) -> BTreeMap<String, Vec<&'static str>> {
+        let mut table: BTreeMap<String, Vec<&'static str>> = BTreeMap::new();
+        for entry in self.inner.catalogue().categories() {
+            for verb in entry.valid_for.keys() {
+                let row = table.entry(verb.clone()).or_default();
+                if !row.contains(&entry.id.id()) {
+                    row.push(entry.id.id());
+                }
+            }
+        }
+        table
     }
 
     /// Names of the scenes, with split, whether the table is weakly textured, and a description.
@@ -105,7 +130,7 @@ impl Stage {
         asked: Asked,
         difficulty: &str,
     ) -> PyResult<Made> {
-        let (validity, asked) = (categories(validity)?, request(asked));
+        let (validity, asked) = (categories(&self.inner, validity)?, request(asked));
         let difficulty: Difficulty = from_json("difficulty", difficulty)?;
         told(enter(py, || generate::episode(&self.inner, &validity, &asked, &difficulty))?)
     }
@@ -121,7 +146,7 @@ impl Stage {
         difficulty: &str,
         threads: Option<usize>,
     ) -> PyResult<Vec<Made>> {
-        let validity = categories(validity)?;
+        let validity = categories(&self.inner, validity)?;
         let requests: Vec<Request> = asked.into_iter().map(request).collect();
         let difficulty: Difficulty = from_json("difficulty", difficulty)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
