@@ -120,7 +120,9 @@ def test_a_seed_is_an_episode_with_its_statistics():
 
 
 def test_knobs_turn():
-    hidden = make_episode("pound", seed=3, difficulty={"start_fraction": [0.05, 0.2], "distractors": [7, 7]})
+    hidden = make_episode(
+        "pound", seed=3, difficulty={"start_fraction": [0.05, 0.2], "distractors": [7, 7], "least_moves": 1}
+    )
     assert hidden.data["start_fraction"] <= 0.2
     assert len(hidden.data["distractor_ids"]) == 7
 

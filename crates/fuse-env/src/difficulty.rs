@@ -14,6 +14,8 @@ pub struct Difficulty {
     /// Pixels that the target would have at the start if it stood alone, at least: its hiding must come from other
     /// objects, not from being far away or cut by the picture's edge. Default 500.
     pub start_unoccluded_px: u32,
+    /// Actions from the start to the first good view, at least. Default 2: one move does not show it.
+    pub least_moves: u32,
     /// Distractors that look or are handled like the target without serving the verb, at most. Default 3.
     pub near_misses: u32,
     /// Distractors that are tall enough to hide something behind them, at most. Default 3.
@@ -35,6 +37,7 @@ impl Default for Difficulty {
         Self {
             start_fraction: START_FRACTION,
             start_unoccluded_px: 500,
+            least_moves: 2,
             near_misses: 3,
             tall_occluders: 3,
             tall_from_m: 0.09,
@@ -65,6 +68,7 @@ impl Difficulty {
         require("start_fraction", format!("two rising numbers in {least} to {most}"), ordered, &self.start_fraction)?;
         let px = self.start_unoccluded_px;
         require("start_unoccluded_px", "1 to 100000".into(), (1..=100_000).contains(&px), &px)?;
+        require("least_moves", "1 to 9".into(), (1..=9).contains(&self.least_moves), &self.least_moves)?;
         require("near_misses", "0 to 14".into(), self.near_misses <= 14, &self.near_misses)?;
         require("tall_occluders", "0 to 14".into(), self.tall_occluders <= 14, &self.tall_occluders)?;
         require("tall_from_m", "0 to 1".into(), within(self.tall_from_m, [0.0, 1.0]), &self.tall_from_m)?;

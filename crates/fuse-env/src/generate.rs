@@ -8,7 +8,6 @@ mod requests;
 use std::collections::BTreeMap;
 
 use fuse_render::Renderer;
-use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -37,7 +36,7 @@ const COARSE: u32 = 4;
 const SLACK: f32 = 0.08;
 
 /// Reasons for throwing a layout away.
-const NOT_HIDDEN: &str = "no view where the target is partly hidden";
+const NOT_HIDDEN: &str = "no view that hides the target enough";
 const TOO_SMALL: &str = "the target is too small in every view";
 const NEVER_WELL: &str = "the target is never seen well";
 const NO_EPISODE: &str = "no episode for a seed: another was drawn";
@@ -124,7 +123,7 @@ fn starts(targets: &[TargetStatistics], strict: bool, difficulty: &Difficulty) -
         let in_view = |o: &TargetStatistics| o.fraction(*v) > high && o.visible_px[v.index()] >= GOOD_PX;
         (low..=high).contains(&target.fraction(*v))
             && target.unoccluded_px[v.index()] >= difficulty.start_unoccluded_px
-            && good_view(target, *v).is_some()
+            && good_view(target, *v).is_some_and(|good| good.moves >= difficulty.least_moves)
             && !(strict && others.iter().any(in_view))
     };
     Viewpoint::all().filter(hidden).collect()
@@ -217,8 +216,11 @@ fn layout(
         return Ok(Err(NEVER_WELL));
     }
     let starts = starts(&statistics, strict, difficulty);
-    let Some(start) = starts.choose(&mut rng) else { return Ok(Err(NOT_HIDDEN)) };
-    Ok(assemble(request, scene, objects, &statistics, *start).map(|episode| (episode, statistics)).ok_or(NEVER_WELL))
+    // A share is drawn first, because views that hide little are far more frequent than those that hide much.
+    let wanted = rng.random_range(difficulty.start_fraction[0]..difficulty.start_fraction[1]);
+    let off = |v: &Viewpoint| (statistics[0].fraction(*v) - wanted).abs();
+    let Some(start) = starts.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else { return Ok(Err(NOT_HIDDEN)) };
+    Ok(assemble(request, scene, objects, &statistics, start).map(|episode| (episode, statistics)).ok_or(NEVER_WELL))
 }
 
 fn assemble(

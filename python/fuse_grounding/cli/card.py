@@ -28,6 +28,7 @@ from fuse_grounding.record import write_atomically
 KNOBS: dict[str, str] = {
     "start_fraction": "bounds of the target's visible share at the start",
     "start_unoccluded_px": "pixels it would have there if it stood alone, at least",
+    "least_moves": "actions from the start to the first good view, at least",
     "near_misses": "distractors that look or are handled like it, at most",
     "tall_occluders": "distractors tall enough to hide something, at most",
     "tall_from_m": "height from which a thing is tall, metres",
@@ -40,6 +41,8 @@ TURNS: tuple[tuple[str, Any], ...] = (
     ("start_fraction", [0.05, 0.2]),
     ("start_fraction", [0.4, 0.6]),
     ("start_unoccluded_px", 2000),
+    ("least_moves", 1),
+    ("least_moves", 4),
     ("near_misses", 0),
     ("near_misses", 8),
     ("tall_occluders", 0),

@@ -52,12 +52,21 @@ def draw(
     return drawn
 
 
+def _whole_numbers() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(integer=True)
+
+
 def _bars(axes: Any, counts: Counter[str], title: str, color: str = _BLUE) -> None:
     names = sorted(counts, key=lambda n: (counts[n], n))
     axes.barh([n.replace("_", " ") for n in names], [counts[n] for n in names], color=color)
+    axes.margins(y=0.01)
+    if len(names) < 10:  # bars stay slim where there are few
+        axes.set_ylim(-0.5, 9.5)
+    axes.xaxis.set_major_locator(_whole_numbers())
     axes.set_title(title)
     axes.set_xlabel("episodes")
-    axes.margins(y=0.01)
 
 
 def _contents(pyplot: Any, episodes: Sequence[Episode]) -> Any:
@@ -78,7 +87,8 @@ def _counts(axes: Any, values: np.ndarray, label: str) -> None:
     axes.hist(values, np.arange(values.min() - 0.5, values.max() + 1.5), color=_BLUE, rwidth=0.9)
     axes.set_xlabel(label)
     axes.set_ylabel("episodes")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(_whole_numbers())
+    axes.yaxis.set_major_locator(_whole_numbers())
 
 
 def _start(pyplot: Any, episodes: Sequence[Episode], counted: dict[str, np.ndarray]) -> Any:
@@ -89,6 +99,7 @@ def _start(pyplot: Any, episodes: Sequence[Episode], counted: dict[str, np.ndarr
     axes[1, 0].hist(100 * counted["visible share at the start"], np.arange(5, 61, 5), color=_BLUE, rwidth=0.9)
     axes[1, 0].set_xlabel("target visible at the start, %")
     axes[1, 0].set_ylabel("episodes")
+    axes[1, 0].yaxis.set_major_locator(_whole_numbers())
     _counts(axes[1, 1], counted["moves to the first good view"], "moves to the first good view")
     starts = np.zeros((3, 36))
     for e in episodes:
@@ -97,7 +108,7 @@ def _start(pyplot: Any, episodes: Sequence[Episode], counted: dict[str, np.ndarr
     axes[1, 2].set_yticks([0, 1, 2], ["15°", "30°", "45°"])
     axes[1, 2].set_xlabel("ring node of the start (10° each)")
     axes[1, 2].set_ylabel("pitch down")
-    figure.colorbar(image, ax=axes[1, 2], label="episodes")
+    figure.colorbar(image, ax=axes[1, 2], label="episodes", ticks=_whole_numbers())
     return figure
 
 

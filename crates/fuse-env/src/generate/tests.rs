@@ -232,8 +232,8 @@ fn unknown_verbs_and_impossible_targets_are_told_apart() {
     };
     assert_eq!(
         exhausted.to_string(),
-        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view where the \
-         target is partly hidden: 56, no room on the table: 4); another seed or scene may have one"
+        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view that \
+         hides the target enough: 56, no room on the table: 4); another seed or scene may have one"
     );
     let none = Validity::from([("fly".to_owned(), vec![])]);
     assert!(matches!(episode(stage(), &none, &request, &Difficulty::default()), Err(GenerateError::NoTarget { .. })));
