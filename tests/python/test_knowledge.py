@@ -93,7 +93,7 @@ def test_the_graph_explains_and_keeps_to_the_vocabulary():
     assert pour.labels == ("teapot", "pitcher", "water_bottle")
     assert "pour_lip 0.6" in pour.candidates[2].reason
     assert len(knowledge.make(KnowledgeConfig(top_k=2)).hypotheses(pour_query(), LABELS, None).labels) == 2
-    assert pour.unknown == ()
+    assert [c.label for c in pour.unknown] == ["measuring_cup"]
 
 
 @pytest.mark.parametrize("source", ["graph", "oracle"])

@@ -59,11 +59,10 @@ def _whole_numbers() -> Any:
 
 
 def _bars(axes: Any, counts: Counter[str], title: str, color: str = _BLUE) -> None:
-    names = sorted(counts, key=lambda n: (counts[n], n))
-    axes.barh([n.replace("_", " ") for n in names], [counts[n] for n in names], color=color)
-    axes.margins(y=0.01)
-    if len(names) < 10:  # bars stay slim where there are few
-        axes.set_ylim(-0.5, 9.5)
+    names = sorted(sorted(counts, reverse=True), key=lambda n: counts[n])
+    slim = min(0.8, 0.08 * len(names))  # few bars need not fill the field
+    axes.barh([n.replace("_", " ") for n in names], [counts[n] for n in names], slim, color=color)
+    axes.margins(y=0.01 if len(names) >= 10 else 0.1)
     axes.xaxis.set_major_locator(_whole_numbers())
     axes.set_title(title)
     axes.set_xlabel("episodes")
