@@ -284,7 +284,7 @@ def test_an_interrupted_set_goes_on_where_it_stopped(tmp_path: Path, monkeypatch
                 raise KeyboardInterrupt
             return [
                 (e.text, e.statistics_text, {"no room on the table": 1})
-                for e, _ in zip(made, requests, strict=False)
+                for _, e in zip(requests, made, strict=False)
             ]
 
     monkeypatch.setattr("fuse_grounding.environment.sets.stage", Maker)
@@ -295,6 +295,12 @@ def test_an_interrupted_set_goes_on_where_it_stopped(tmp_path: Path, monkeypatch
     with pytest.raises(InputError, match=r"parts of another request \(`count` is 25 there and 24 here\)"):
         generate_set("dev", out, count=24)
     done: list[int] = []
+    part = out.with_name("dev.json.gz.parts") / "000000.json"
+    kept = part.read_text()
+    part.write_text(json.dumps({"made": [], "part_seconds": 0}))
+    with pytest.raises(InputError, match=r"000000\.json is not a part of this set: 0 episodes, expected 8"):
+        generate_set("dev", out)
+    part.write_text(kept)
     finished = generate_set("dev", out, tell=lambda n, total: done.append(n))
     assert asked == [8, 8, 8, 8, 1]
     assert done == [0, 8, 16, 24, 25]

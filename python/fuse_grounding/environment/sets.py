@@ -123,7 +123,7 @@ def generate_set(
             fresh = stage().make_episodes(valid_categories(), asked[first : first + PART], settings, threads)
             spent = time.perf_counter() - began
             write_atomically(part, json.dumps({"made": fresh, "part_seconds": spent}))
-        stored = _read_part(part)
+        stored = _read_part(part, min(PART, count - first))
         made += [tuple(m) for m in stored["made"]]
         seconds += stored["part_seconds"]
         tell(min(first + PART, count), count)
@@ -166,14 +166,16 @@ def _open_parts(folder: Path, wanted: dict[str, Any]) -> None:
             )
 
 
-def _read_part(path: Path) -> dict[str, Any]:
+def _read_part(path: Path, episodes: int) -> dict[str, Any]:
     try:
         part = json.loads(path.read_text(encoding="utf-8"))
         if not all(len(m) == 3 for m in part["made"]):
             raise ValueError("an entry does not have three values")
+        if len(part["made"]) != episodes:
+            raise ValueError(f"{len(part['made'])} episodes, expected {episodes}")
         return {"made": part["made"], "part_seconds": float(part["part_seconds"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is not a part of a set: {error}; take it away to make it anew") from None
+        raise InputError(f"{path} is not a part of this set: {error}; take it away to make it anew") from None
 
 
 def _makers_digest() -> str:
