@@ -10,8 +10,8 @@ import numpy as np
 from fuse_grounding.environment import TabletopEnvironment, make_episode
 from fuse_grounding.errors import InputError
 
-VIEWS = tuple((6 * i + 1, i % 3) for i in range(6))
-"""Every sixth node, pitches in turn."""
+VIEWS = tuple((6 * i + 1, 1 + i % 2) for i in range(6))
+"""Every sixth node, 30 and 45 degrees down in turn."""
 _VERBS = ("serve", "pour", "stir", "fasten", "pound", "wipe")
 _TILE = (400, 300)
 _LARGEST_BYTES = 250_000
