@@ -191,7 +191,7 @@ def test_a_stage_takes_libraries_beside_the_shipped_objects(tmp_path: Path):
     stage = _core.Stage(DATA / "objects", DATA / "scenes.json", [library])
     assert stage.stated() == {"stir": ["paddle"]}
     with pytest.raises(InputError, match="unknown category `padel`"):
-        stage.make_episode({"stir": ["padel"]}, "dev_kitchen", "stir", "stir", 0, "x")
+        stage.make_episode({"stir": ["padel"]}, ("dev_kitchen", "stir", "stir", 0, "x"), "{}")
     with pytest.raises(InputError, match=r"object `a` is in .* and in"):
         _core.Stage(DATA / "objects", DATA / "scenes.json", [library, library])
 
@@ -202,7 +202,7 @@ def test_an_episode_can_show_a_users_object(tmp_path: Path):
     assert imports(library, box(tmp_path / "my_mug.obj", (0.08, 0.08, 0.1)), *given) == 0
     stage = _core.Stage(DATA / "objects", DATA / "scenes.json", [library])
     made = (
-        json.loads(stage.make_episode({"cut": ["knife"]}, "dev_kitchen", "cut", "cut", seed, "x")[0])
+        json.loads(stage.make_episode({"cut": ["knife"]}, ("dev_kitchen", "cut", "cut", seed, "x"), "{}")[0])
         for seed in range(20)
     )
     episode = next(e for e in made if any(o["model_id"] == "my_mug" for o in e["objects"]))

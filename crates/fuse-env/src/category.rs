@@ -95,9 +95,8 @@ categories! {
 const RECOGNISED: usize = 18;
 
 impl Category {
-    /// The categories that the shipped network tells apart, that training pictures show and that
-    /// episodes are made of. A retrained network that knows more raises the count; until then the
-    /// others are in the catalogue alone, so that recorded episodes keep their bytes.
+    /// The categories that the shipped network tells apart and that training pictures show. A
+    /// retrained network that knows more raises the count; episodes are made of all.
     pub fn recognised() -> &'static [Self] {
         &Self::ALL[..RECOGNISED]
     }

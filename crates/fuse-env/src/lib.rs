@@ -4,6 +4,7 @@
 pub mod catalogue;
 pub mod category;
 pub mod configuration;
+pub mod difficulty;
 pub mod episode;
 pub mod generate;
 pub mod import;
