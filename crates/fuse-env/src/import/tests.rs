@@ -132,7 +132,7 @@ fn a_library_keeps_what_it_is_told_and_nothing_else() {
     assert!(again.contains("object `oar` is in") && again.contains("--replace"), "{again}");
     library::add(&home, &made, b"png", &["scoop".into()], true).expect("replaced");
     let library = Catalogue::load(&home).expect("a sound library");
-    assert_eq!(library.records(), &[made.record.clone()]);
+    assert_eq!(library.records(), std::slice::from_ref(&made.record));
     let stated: Vec<_> = library.categories()[0].valid_for.iter().collect();
     assert_eq!(stated.len(), 2);
     assert!(stated.iter().all(|(_, why)| *why == library::STATED));
