@@ -339,8 +339,10 @@ impl SrgbTable {
         Self((0..Self::SIZE).map(byte).collect())
     }
 
+    #[inline]
     pub fn encode(&self, c: Vec3A) -> [u8; 3] {
         let c = c * (Self::SIZE - 1) as f32 + Vec3A::splat(0.5);
-        c.to_array().map(|v| self.0[(v as usize).min(Self::SIZE - 1)])
+        let byte = |v: f32| self.0[(v as usize).min(Self::SIZE - 1)];
+        [byte(c.x), byte(c.y), byte(c.z)]
     }
 }
