@@ -3,6 +3,12 @@
 //! Two objects are kept apart by their footprints: the convex hulls of their vertical projections,
 //! at least `gap` apart. That is conservative: it also forbids what would fit under something.
 
+pub mod cavity;
+pub mod check;
+pub mod compound;
+pub mod settle;
+pub mod solid;
+
 use std::f32::consts::TAU;
 
 use fuse_render::Model;
