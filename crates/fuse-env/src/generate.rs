@@ -256,3 +256,6 @@ pub fn episodes(
 
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod scratch;

@@ -37,7 +37,7 @@ struct Grid {
 }
 
 impl Grid {
-    fn new(parts: &[TriMesh], low: Vec3, high: Vec3) -> Self {
+    fn new(parts: &[TriMesh], samples: &[Vec3], low: Vec3, high: Vec3) -> Self {
         let n = |size: f32| (size / STEP).ceil() as usize + 2;
         let (nx, ny) = (n(high.x - low.x), n(high.y - low.y));
         let mut grid = Self { low: Vec2::new(low.x, low.y), nx, ny, heights: vec![] };
@@ -62,6 +62,13 @@ impl Grid {
         for k in 0..nx * ny {
             if empty[k] && !outside[k] {
                 heights[k] = Some(low.z);
+            }
+        }
+        // Rays miss a thin rim; points on the surface do not.
+        for p in samples {
+            let cell = ((Vec2::new(p.x, p.y) - grid.low) / STEP + Vec2::ONE).floor();
+            if let Some(Some(h)) = heights.get_mut(cell.y as usize * nx + cell.x as usize) {
+                *h = h.max(p.z);
             }
         }
         grid.heights = heights;
@@ -102,9 +109,10 @@ impl Grid {
     }
 }
 
-/// The cavity of a model given as its closed parts; `None` when it is not an open vessel.
-pub fn find(parts: &[TriMesh], low: Vec3, high: Vec3) -> Option<Cavity> {
-    let grid = Grid::new(parts, low, high);
+/// The cavity of a model given as its closed parts and points on their surface; `None` when it is not
+/// an open vessel.
+pub fn find(parts: &[TriMesh], samples: &[Vec3], low: Vec3, high: Vec3) -> Option<Cavity> {
+    let grid = Grid::new(parts, samples, low, high);
     let level = grid.levels();
     let depth = |k: usize| grid.heights[k].map_or(0.0, |h| level[k] - h);
     let deepest = (0..level.len()).map(depth).fold(0.0, f32::max);
@@ -115,12 +123,15 @@ pub fn find(parts: &[TriMesh], low: Vec3, high: Vec3) -> Option<Cavity> {
     let inside: Vec<bool> = (0..level.len()).map(|k| depth(k) > 0.5 * deepest).collect();
     let walls: Vec<Vec2> =
         (0..level.len()).filter(|&k| !inside[k] && grid.beside(k).any(|m| inside[m])).map(|k| grid.at(k)).collect();
-    let clear = |k: usize| walls.iter().map(|w| w.distance_squared(grid.at(k))).fold(f32::MAX, f32::min);
-    let (best, square) = (0..level.len())
-        .filter(|&k| inside[k])
-        .map(|k| (k, clear(k)))
-        .fold((0, 0.0), |best, next| if next.1 > best.1 + 1e-9 { next } else { best });
-    let radius = square.sqrt() - STEP;
+    let clear = |k: usize| walls.iter().map(|w| w.distance_squared(grid.at(k))).fold(f32::MAX, f32::min).sqrt();
+    let clearances: Vec<f32> = (0..level.len()).map(|k| if inside[k] { clear(k) } else { 0.0 }).collect();
+    let widest = clearances.iter().copied().fold(0.0, f32::max);
+    // A long tray is equally wide along its length: the middle of that is the axis.
+    let wide: Vec<usize> = (0..level.len()).filter(|&k| clearances[k] > 0.97 * widest).collect();
+    let middle = wide.iter().map(|&k| grid.at(k)).sum::<Vec2>() / wide.len().max(1) as f32;
+    let from_middle = |k: &usize| grid.at(*k).distance_squared(middle);
+    let best = wide.into_iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))?;
+    let radius = clearances[best] - STEP;
     if radius < WIDE {
         return None;
     }

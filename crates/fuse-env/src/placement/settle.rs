@@ -5,6 +5,7 @@
 
 use glam::Vec2;
 use rapier3d::glamx::{Quat, Vec3};
+use rapier3d::geometry::HalfSpace;
 use rapier3d::math::Pose;
 use rapier3d::prelude::{ColliderBuilder, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, SharedShape};
 
@@ -20,8 +21,6 @@ const STILL_S: f32 = 0.2;
 const STILL_M: f32 = 1e-4;
 /// Coulomb friction of everything against everything.
 const FRICTION: f32 = 0.7;
-/// Thickness of the table top, metres.
-const TOP_M: f32 = 0.1;
 
 /// The table that things are settled on.
 #[derive(Clone, Debug)]
@@ -33,14 +32,13 @@ pub struct Top {
 }
 
 impl Top {
-    /// The table top as a convex solid.
-    pub fn shape(&self) -> Option<SharedShape> {
-        let points: Vec<Vec3> = self
-            .outline
-            .iter()
-            .flat_map(|p| [self.height - TOP_M, self.height].map(|z| Vec3::new(p.x, p.y, z)))
-            .collect();
-        SharedShape::convex_hull(&points)
+    /// Whether a point is above the table top.
+    pub fn contains(&self, p: Vec3) -> bool {
+        let n = self.outline.len();
+        (0..n).all(|i| {
+            let (s, e) = (self.outline[i], self.outline[(i + 1) % n]);
+            (e - s).perp_dot(Vec2::new(p.x, p.y) - s) > 0.0
+        })
     }
 }
 
@@ -53,9 +51,6 @@ pub enum Unsettled {
     /// Something still moved after the time that was given.
     #[error("something does not come to rest")]
     Moving,
-    /// The table has no area.
-    #[error("the table top has no area")]
-    NoTable,
 }
 
 /// Lets `things` go at their poses (world from model, metres) and follows them until all are still.
@@ -64,7 +59,7 @@ pub enum Unsettled {
 /// # Errors
 /// [`Unsettled`] when something falls off or keeps moving.
 pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettled> {
-    let (mut world, handles) = built(top, things)?;
+    let (mut world, handles) = built(top, things);
     let radius: Vec<f32> = things.iter().map(|(s, _)| s.size().length()).collect();
     let still_steps = (STILL_S / STEP_S).round() as usize;
     let mut before = poses(&world, &handles);
@@ -74,7 +69,9 @@ pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettl
             continue;
         }
         let now = poses(&world, &handles);
-        if now.iter().any(|p| !p.translation.is_finite() || p.translation.z < top.height - 0.05) {
+        // The plane goes on beyond the edge; what has its centre of mass there would fall.
+        let off = |(p, t): (&Pose, &(&Solid, Pose))| !top.contains(p.transform_point(t.0.mass.local_com));
+        if now.iter().zip(things).any(off) {
             return Err(Unsettled::Fell);
         }
         let moved = now.iter().zip(&before).zip(&radius).map(|((a, b), r)| motion(a, b, *r)).fold(0.0, f32::max);
@@ -83,6 +80,7 @@ pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettl
         }
         before = now;
     }
+    if std::env::var("DBG").is_ok() { world.step(); let now=poses(&world,&handles); for (i,(a,b)) in now.iter().zip(&before).enumerate() { let m=motion(a,b,0.0); let n=motion(a,b,radius[i]); if n>1e-4 {let v=world.bodies[handles[i]].vels(); println!("   body {i} m {:.4} step lin {m:.6} tot {n:.6} v {:?} w {:?} sleeping {}", things[i].0.mass.mass(), v.linvel, v.angvel, world.bodies[handles[i]].is_sleeping());} } println!(); }
     Err(Unsettled::Moving)
 }
 
@@ -94,43 +92,60 @@ pub fn motion(a: &Pose, b: &Pose, size: f32) -> f32 {
 }
 
 /// How far anything moves within `seconds` when it is let go at its pose, metres.
-///
-/// # Errors
-/// [`Unsettled`] when there is no table.
-pub fn drift(top: &Top, things: &[(&Solid, Pose)], seconds: f32) -> Result<f32, Unsettled> {
-    let (mut world, handles) = built(top, things)?;
+pub fn drift(top: &Top, things: &[(&Solid, Pose)], seconds: f32) -> f32 {
+    let (mut world, handles) = built(top, things);
     for _ in 0..(seconds / STEP_S) as usize {
         world.step();
     }
     let now = poses(&world, &handles);
-    Ok(now.iter().zip(things).map(|(p, (s, was))| motion(was, p, s.size().length())).fold(0.0, f32::max))
+    now.iter().zip(things).map(|(p, (s, was))| motion(was, p, s.size().length())).fold(0.0, f32::max)
 }
 
 fn poses(world: &PhysicsWorld, handles: &[RigidBodyHandle]) -> Vec<Pose> {
     handles.iter().filter_map(|h| world.bodies.get(*h)).map(|b| *b.position()).collect()
 }
 
-fn built(top: &Top, things: &[(&Solid, Pose)]) -> Result<(PhysicsWorld, Vec<RigidBodyHandle>), Unsettled> {
+fn built(top: &Top, things: &[(&Solid, Pose)]) -> (PhysicsWorld, Vec<RigidBodyHandle>) {
     let mut world = PhysicsWorld::new();
     world.gravity = Vec3::new(0.0, 0.0, -9.81);
     let p = &mut world.integration_parameters;
     p.dt = STEP_S;
     // Things are centimetres in size: slop and speculative margin a tenth of what metres would need.
     p.length_unit = 0.05;
-    p.num_solver_iterations = 8;
-    world.insert_collider(ColliderBuilder::new(top.shape().ok_or(Unsettled::NoTable)?).friction(FRICTION), None);
+    let e = |n: &str, d: f32| std::env::var(n).map_or(d, |s| s.parse().unwrap());
+    p.num_solver_iterations = e("ITER", 8.0) as usize;
+    p.dt = 1.0 / e("HZ", 200.0);
+    p.length_unit = e("LU", 0.05);
+    p.contact_recycling = e("REC", 0.0) > 0.0;
+    p.contact_clustering = e("CLU", 0.0) > 0.0;
+    p.normalized_prediction_distance = e("PRED", 0.02);
+    if e("COUL", 0.0) > 0.0 { p.friction_model = rapier3d::prelude::FrictionModel::Coulomb; }
+    p.static_contact_softness.natural_frequency = e("SF", 120.0);
+    p.static_contact_softness.damping_ratio = e("SD", 10.0);
+    p.contact_softness.natural_frequency = e("CF", 60.0);
+    p.contact_softness.damping_ratio = e("CD", 10.0);
+    p.warmstart_coefficient = e("WARM", 1.0);
+    let plane = ColliderBuilder::new(SharedShape::new(HalfSpace { normal: Vec3::Z })).translation(Vec3::Z * top.height);
+    world.insert_collider(plane.friction(FRICTION), None);
     let handles = things
         .iter()
         .map(|(solid, pose)| {
-            let body = RigidBodyBuilder::dynamic().pose(*pose).linear_damping(0.6).angular_damping(2.5).can_sleep(true);
+            let body = RigidBodyBuilder::dynamic().pose(*pose).linear_damping(e("LD",0.6)).angular_damping(e("AD",2.5)).can_sleep(true);
             let collider = ColliderBuilder::new(solid.compound.clone())
                 .friction(FRICTION)
                 .restitution(0.0)
-                .mass_properties(solid.mass);
-            world.insert(body, collider).0
+                .mass_properties({let mut m = solid.mass; m.set_mass(m.mass() * std::env::var("MASS").map_or(1000.0, |s| s.parse().unwrap()), true); m});
+            let handle = world.insert(body, collider).0;
+            if let Some(body) = world.bodies.get_mut(handle) {
+                let rest = body.activation_mut();
+                rest.normalized_linear_threshold = e("LT", 0.08);
+                rest.angular_threshold = e("AT", 0.1);
+                rest.time_until_sleep = e("TS", 0.25);
+            }
+            handle
         })
         .collect();
-    Ok((world, handles))
+    (world, handles)
 }
 
 /// A pose from glam's own types.

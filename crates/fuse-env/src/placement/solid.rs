@@ -7,12 +7,13 @@ use std::collections::{HashMap, HashSet};
 
 use fuse_render::Model;
 use rapier3d::dynamics::MassProperties;
-use rapier3d::geometry::{SharedShape, TriMesh, TriMeshFlags};
+use rapier3d::geometry::{ConvexPolyhedron, SharedShape, TriMesh, TriMeshFlags};
 use rapier3d::glamx::{DMat3, DVec3, Vec3};
 use rapier3d::math::Pose;
 
 use super::cavity::{self, Cavity};
 use super::compound::{self, Hollow, Hull};
+use super::piece::Piece;
 use crate::objects::finish::density;
 
 /// Parts of a model that are treated one by one; smaller ones are taken together.
@@ -57,7 +58,8 @@ impl Solid {
         let points = || groups.iter().flatten().flat_map(|t| t.0);
         let bounds = [points().reduce(Vec3::min)?, points().reduce(Vec3::max)?];
         let mass = mass(groups.iter().flatten())?;
-        let cavity = cavity::find(&parts, bounds[0], bounds[1]);
+        let samples = samples(groups.iter().flatten().map(|t| t.0));
+        let cavity = cavity::find(&parts, &samples, bounds[0], bounds[1]);
         let mut hulls: Vec<Hull> = vec![];
         for (i, group) in groups.iter().enumerate() {
             let triangles: Vec<[Vec3; 3]> = group.iter().map(|t| t.0).collect();
@@ -67,13 +69,12 @@ impl Solid {
         }
         let shapes: Vec<(Pose, SharedShape)> = hulls
             .into_iter()
-            .filter_map(|h| SharedShape::convex_mesh(h.points, &h.faces))
-            .map(|s| (Pose::identity(), s))
+            .filter_map(|h| ConvexPolyhedron::from_convex_mesh(h.points, &h.faces))
+            .map(|p| (Pose::identity(), SharedShape::new(Piece(p))))
             .collect();
         if shapes.is_empty() {
             return None;
         }
-        let samples = samples(groups.iter().flatten().map(|t| t.0));
         Some(Self { pieces: shapes.len(), compound: SharedShape::compound(shapes), mass, parts, samples, bounds, cavity })
     }
 
