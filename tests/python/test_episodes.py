@@ -40,10 +40,10 @@ def test_the_shipped_set_is_fair():
 
 
 def test_a_seed_is_an_episode():
-    one = make_episode("write", "dev_study", 4)
-    assert one == make_episode("write", "dev_study", 4)
-    assert one.data["objects"] != make_episode("write", "dev_study", 5).data["objects"]
-    assert (one.verb, one.scene_id, one.split) == ("write", "dev_study", "dev")
+    one = make_episode("write", "train_study", 4)
+    assert one == make_episode("write", "train_study", 4)
+    assert one.data["objects"] != make_episode("write", "train_study", 5).data["objects"]
+    assert (one.verb, one.scene_id, one.split) == ("write", "train_study", "train")
 
 
 def test_what_does_not_exist_is_named():

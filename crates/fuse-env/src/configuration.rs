@@ -88,6 +88,14 @@ pub enum SurfaceKind {
     Cloth,
     /// Plain laminate: almost nothing to hold on to.
     Laminate,
+    /// Chips of stone in two colours in a pale ground.
+    Terrazzo,
+    /// Strips of bamboo, glued, with their nodes.
+    Bamboo,
+    /// Riven slate slabs with rusty stains.
+    Slate,
+    /// Woven cloth in squares of two colours.
+    Checkered,
 }
 
 /// A procedural surface; the same values give the same texels.

@@ -256,6 +256,3 @@ pub fn episodes(
 
 #[cfg(test)]
 mod tests;
-
-#[cfg(test)]
-mod scratch;

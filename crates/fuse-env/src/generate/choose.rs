@@ -101,7 +101,16 @@ fn needs(style: ClutterStyle) -> &'static [(&'static [Category], usize)] {
             (&[C::Mug, C::MeasuringCup, C::Pitcher], 2),
             (
                 &[
-                    C::Spoon, C::Fork, C::Pen, C::Pencil, C::Marker, C::Whisk, C::ButterKnife, C::Screwdriver, C::Ladle, C::Spatula,
+                    C::Spoon,
+                    C::Fork,
+                    C::Pen,
+                    C::Pencil,
+                    C::Marker,
+                    C::Whisk,
+                    C::ButterKnife,
+                    C::Screwdriver,
+                    C::Ladle,
+                    C::Spatula,
                     C::Chopsticks,
                 ],
                 4,
@@ -152,7 +161,9 @@ pub(super) fn choose<'a>(
     }
     let near = |r: &ObjectRecord| !valid.contains(&r.category) && alike(r.category, category);
     let tall = |r: &ObjectRecord| !valid.contains(&r.category) && r.size_m[2] > TALL_M;
-    let have = |choice: &Choice<'_, '_>, rule: &dyn Fn(&ObjectRecord) -> bool| choice.chosen[1..].iter().filter(|r| rule(r)).count();
+    let have = |choice: &Choice<'_, '_>, rule: &dyn Fn(&ObjectRecord) -> bool| {
+        choice.chosen[1..].iter().filter(|r| rule(r)).count()
+    };
     choice.take(NEAR.saturating_sub(have(&choice, &near)), near, false);
     choice.take(TALL.saturating_sub(have(&choice, &tall)), tall, false);
     choice.take(wanted, |_| true, false);

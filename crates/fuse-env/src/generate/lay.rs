@@ -73,7 +73,8 @@ fn settled(
         Unsound::Penetration => "objects interpenetrate",
         Unsound::Overhang => "something hangs over the table's edge",
     })?;
-    let styled = matches!(style, ClutterStyle::Sparse | ClutterStyle::Packed) || proposal.holds.iter().any(Option::is_some);
+    let styled =
+        matches!(style, ClutterStyle::Sparse | ClutterStyle::Packed) || proposal.holds.iter().any(Option::is_some);
     if !styled || layout::kept(&proposal, things, &poses, surface.height) < KEPT {
         return Err("things do not stay as the clutter style has them");
     }

@@ -81,7 +81,12 @@ impl Grid {
 
     fn beside(&self, k: usize) -> impl Iterator<Item = usize> {
         let (i, j, nx, ny) = (k % self.nx, k / self.nx, self.nx, self.ny);
-        let next = [(i > 0).then(|| k - 1), (i + 1 < nx).then_some(k + 1), (j > 0).then(|| k - nx), (j + 1 < ny).then_some(k + nx)];
+        let next = [
+            (i > 0).then(|| k - 1),
+            (i + 1 < nx).then_some(k + 1),
+            (j > 0).then(|| k - nx),
+            (j + 1 < ny).then_some(k + nx),
+        ];
         next.into_iter().flatten()
     }
 

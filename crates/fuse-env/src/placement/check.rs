@@ -1,9 +1,10 @@
 //! Whether a settled layout is sound, judged by the true meshes.
 
-use rapier3d::geometry::{PointQuery, TriMesh};
+use rapier3d::geometry::{PointQuery, Ray, RayCast, TriMesh};
 use rapier3d::glamx::Vec3;
 use rapier3d::math::Pose;
 use rapier3d::parry::query::contact;
+use rapier3d::parry::shape::FeatureId;
 
 use super::settle::Top;
 use super::solid::Solid;
@@ -96,7 +97,23 @@ fn depth(part: &TriMesh, p: Vec3, known: f32) -> f32 {
         return 0.0;
     }
     let nearest = part.project_local_point(p, false);
-    if nearest.is_inside { nearest.point.distance(p) } else { 0.0 }
+    let deep = nearest.point.distance(p);
+    if nearest.is_inside && deep > known && encloses(part, p) { deep } else { 0.0 }
+}
+
+/// Whether a closed part encloses a point, by what is first seen from there: where triangles are thin
+/// slivers, the side of the nearest one is not to be trusted.
+fn encloses(part: &TriMesh, p: Vec3) -> bool {
+    let leaves = |direction: Vec3| {
+        let ray = Ray::new(p, direction);
+        part.cast_local_ray_and_get_normal(&ray, 10.0, false).is_some_and(|hit| {
+            let faces = part.indices();
+            let FeatureId::Face(face) = hit.feature else { return false };
+            let [a, b, c] = faces[face as usize % faces.len()].map(|i| part.vertices()[i as usize]);
+            (b - a).cross(c - a).dot(direction) > 0.0
+        })
+    };
+    [Vec3::new(0.36, 0.48, 0.8), Vec3::new(-0.48, 0.6, -0.64), Vec3::new(0.6, -0.64, 0.48)].into_iter().all(leaves)
 }
 
 /// How far two things must be moved apart where convex pieces of theirs are in one another, metres:

@@ -202,9 +202,9 @@ fn best_cut(piece: &Piece, middle: Vec3, directions: &[Vec3]) -> Option<Plane> {
     let low = points.iter().copied().reduce(Vec3::min)?;
     let high = points.iter().copied().reduce(Vec3::max)?;
     // Off the even fractions, where models have rings of vertices.
-    let across = [0.263, 0.501, 0.743].into_iter().flat_map(|f| {
-        [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| Plane::new(axis, low + (high - low) * f))
-    });
+    let across = [0.263, 0.501, 0.743]
+        .into_iter()
+        .flat_map(|f| [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| Plane::new(axis, low + (high - low) * f)));
     let whole = volume(&points, directions);
     across
         .chain(radial().into_iter().map(|normal| Plane::new(normal, middle)))
@@ -223,7 +223,11 @@ fn split(piece: &Piece, plane: &Plane, directions: &[Vec3]) -> Option<[f64; 2]> 
         for i in 0..3 {
             let (p, q) = (t[i], t[(i + 1) % 3]);
             let (up, next) = (plane.side(p) >= 0.0, plane.side(q) >= 0.0);
-            if up { over.push(p) } else { below.push(p) }
+            if up {
+                over.push(p)
+            } else {
+                below.push(p)
+            }
             if up != next {
                 let c = cross(plane, p, q);
                 over.push(c);
@@ -243,7 +247,9 @@ fn volume(points: &[Vec3], directions: &[Vec3]) -> f64 {
 
 /// Normals of eight planes through a vertical axis, evenly around.
 fn radial() -> [Vec3; 8] {
-    std::array::from_fn(|i| Vec3::from(rapier3d::glamx::Quat::from_rotation_z((i as f32 + 0.013) * std::f32::consts::PI / 8.0) * Vec3::X))
+    std::array::from_fn(|i| {
+        Vec3::from(rapier3d::glamx::Quat::from_rotation_z((i as f32 + 0.013) * std::f32::consts::PI / 8.0) * Vec3::X)
+    })
 }
 
 /// Where a vessel is hollow: cuts that are made before any other.
@@ -269,7 +275,8 @@ pub fn decompose(triangles: &[[Vec3; 3]], hollow: Option<Hollow>, most: usize) -
         }
     }
     while pieces.len() < most {
-        let worst = (0..pieces.len()).filter(|&i| !pieces[i].done).max_by(|&i, &j| pieces[i].empty.total_cmp(&pieces[j].empty));
+        let worst =
+            (0..pieces.len()).filter(|&i| !pieces[i].done).max_by(|&i, &j| pieces[i].empty.total_cmp(&pieces[j].empty));
         let Some(i) = worst else { break };
         match best_cut(&pieces[i], middle, &directions).and_then(|plane| pieces[i].cut(&plane, &directions)) {
             Some([below, over]) => {

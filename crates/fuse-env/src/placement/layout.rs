@@ -113,7 +113,11 @@ fn plan(style: ClutterStyle, things: &[Thing<'_>], rng: &mut ChaCha8Rng) -> Vec<
             continue;
         }
         let hosts: Vec<usize> = (0..things.len())
-            .filter(|&h| h != i && !matches!(holds[h], Some(Hold::In(_) | Hold::Against(_))) && load[h] < capacity(style, &things[h]))
+            .filter(|&h| {
+                h != i
+                    && !matches!(holds[h], Some(Hold::In(_) | Hold::Against(_)))
+                    && load[h] < capacity(style, &things[h])
+            })
             .filter(|&h| fits(style, i, &things[i], &things[h]) && !under(&holds, h, i))
             .collect();
         if hosts.is_empty() || !rng.random_bool(CHANCE) {
@@ -162,12 +166,18 @@ fn fits(style: ClutterStyle, index: usize, thing: &Thing<'_>, host: &Thing<'_>) 
                 && second < 4.0 * c.radius
         }
         ClutterStyle::Leaning => {
-            thing.is_slender() && host.is_support() && thing.length().1 > 1.35 * host.solid.size().z && !host.is_slender()
+            thing.is_slender()
+                && host.is_support()
+                && thing.length().1 > 1.35 * host.solid.size().z
+                && !host.is_slender()
         }
         ClutterStyle::OnTray => host.category == Category::Tray && long < 1.05 * host_long && short < 0.8 * host_short,
         ClutterStyle::Stacked => {
             let same = thing.category == host.category;
-            host.is_carrier() && long < 1.2 * host_long && (same || short < 0.75 * host_short) && thing.solid.size().z < 0.2
+            host.is_carrier()
+                && long < 1.2 * host_long
+                && (same || short < 0.75 * host_short)
+                && thing.solid.size().z < 0.2
         }
     }
 }
@@ -193,12 +203,7 @@ impl Thing<'_> {
                 let along = (p[axis] - low[axis]) / long;
                 if near_low { along < 0.45 } else { along > 0.55 }
             };
-            let (l, h) = self
-                .solid
-                .samples
-                .iter()
-                .filter(inside)
-                .fold((high, low), |(l, h), p| (l.min(*p), h.max(*p)));
+            let (l, h) = self.solid.samples.iter().filter(inside).fold((high, low), |(l, h), p| (l.min(*p), h.max(*p)));
             let mut size = (h - l).max(Vec3::ZERO);
             size[axis] = 0.0;
             size.max_element()
@@ -260,7 +265,8 @@ pub fn propose(
     let top = Top { outline: surface.outline.clone(), height: surface.height };
     // Hosts before what they hold.
     while let Some(i) = (0..things.len()).find(|&i| {
-        poses[i].is_none() && matches!(holds[i], Some(Hold::In(h) | Hold::On(h) | Hold::Against(h)) if poses[h].is_some())
+        poses[i].is_none()
+            && matches!(holds[i], Some(Hold::In(h) | Hold::On(h) | Hold::Against(h)) if poses[h].is_some())
     }) {
         let at = holds[i].and_then(|hold| hosted(i, hold, things, &rests[i], &poses, &top, rng));
         if at.is_none() {
@@ -268,7 +274,8 @@ pub fn propose(
         }
         poses[i] = Some(match at {
             Some(at) => at,
-            None => beside(&things[i], &rests[i], things, &poses, surface, rng).ok_or(PlacementError::Full { index: i, count: things.len() })?,
+            None => beside(&things[i], &rests[i], things, &poses, surface, rng)
+                .ok_or(PlacementError::Full { index: i, count: things.len() })?,
         });
     }
     Ok(Proposal { poses: poses.into_iter().flatten().collect(), holds })
@@ -334,12 +341,18 @@ fn hosted(
                 let end = thing.heavy_end();
                 let turn = Quat::from_rotation_arc(Vec3::Z, up) * (yaw(rng) * Quat::from_rotation_arc(-end, Vec3::Z));
                 // The host's near edge on this side.
-                let edge = host.solid.samples.iter().map(|p| (at.transform_point(*p) - middle).dot(d)).fold(f32::MAX, f32::min);
+                let edge = host
+                    .solid
+                    .samples
+                    .iter()
+                    .map(|p| (at.transform_point(*p) - middle).dot(d))
+                    .fold(f32::MAX, f32::min);
                 let foot = middle + d * (edge - slope * height * 1.02 - 0.01);
                 let foot = Vec3::new(foot.x, foot.y, top.height);
                 let lowered = lower(thing, turn, foot - turn * tip(thing, end), things, poses, top)?;
                 let lowest = lowered.transform_point(tip(thing, end)).z;
-                (top.contains(lowered.transform_point(tip(thing, end))) && lowest < top.height + 0.03).then_some(lowered)
+                (top.contains(lowered.transform_point(tip(thing, end))) && lowest < top.height + 0.03)
+                    .then_some(lowered)
             })
         }
     }
@@ -359,7 +372,10 @@ fn on(
     let same = thing.category == host.category;
     let rest = if same { thing.upright().rotation } else { super::pick_rest(rests, rng) };
     let half = host.solid.cavity.map_or(host.solid.size() / 2.0, |c| Vec3::new(c.half.x, c.half.y, 0.0));
-    let middle = host.solid.cavity.map_or((host.solid.bounds[0] + host.solid.bounds[1]) / 2.0, |c| Vec3::new(c.axis.x, c.axis.y, 0.0));
+    let middle = host
+        .solid
+        .cavity
+        .map_or((host.solid.bounds[0] + host.solid.bounds[1]) / 2.0, |c| Vec3::new(c.axis.x, c.axis.y, 0.0));
     let mut best: Option<(f32, Pose)> = None;
     for _ in 0..TRIES {
         let turn = if same { at.rotation } else { yaw(rng) * quat(rest) };
@@ -396,7 +412,14 @@ fn tip(thing: &Thing<'_>, end: Vec3) -> Vec3 {
 }
 
 /// The pose in which a turned thing, lowered at an x and y, first touches something.
-fn lower(thing: &Thing<'_>, turn: Quat, at: Vec3, things: &[Thing<'_>], poses: &[Option<Pose>], top: &Top) -> Option<Pose> {
+fn lower(
+    thing: &Thing<'_>,
+    turn: Quat,
+    at: Vec3,
+    things: &[Thing<'_>],
+    poses: &[Option<Pose>],
+    top: &Top,
+) -> Option<Pose> {
     let start = Pose::from_parts(Vec3::new(at.x, at.y, top.height + ABOVE), turn);
     let lowest = thing.solid.samples.iter().map(|p| start.transform_point(*p).z).fold(f32::MAX, f32::min);
     let mut fall = lowest - top.height;
@@ -425,7 +448,8 @@ pub fn kept(proposal: &Proposal, things: &[Thing<'_>], settled: &[Pose], table: 
     if held.is_empty() {
         return 1.0;
     }
-    let good = held.iter().filter(|(i, hold)| is_held(&things[*i], &settled[*i], *hold, things, settled, table)).count();
+    let good =
+        held.iter().filter(|(i, hold)| is_held(&things[*i], &settled[*i], *hold, things, settled, table)).count();
     good as f32 / held.len() as f32
 }
 

@@ -4,10 +4,12 @@
 //! function of the arguments alone.
 
 use glam::Vec2;
-use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::geometry::HalfSpace;
+use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::math::Pose;
-use rapier3d::prelude::{ColliderBuilder, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, SharedShape};
+use rapier3d::prelude::{
+    ColliderBuilder, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, SharedShape, SpringCoefficients,
+};
 
 use super::solid::Solid;
 
@@ -18,7 +20,15 @@ const LONGEST_S: f32 = 4.0;
 /// Time over which everything must be still, seconds.
 const STILL_S: f32 = 0.2;
 /// Movement of any point over that time that counts as still, metres.
-const STILL_M: f32 = 1e-4;
+const STILL_M: f32 = 3e-4;
+/// Time after which rocking is damped strongly, seconds: what is unstable has fallen by then.
+const CALM_S: f32 = 0.8;
+/// Times that things are let go anew until they stay where they are.
+const ROUNDS: usize = 3;
+/// Movement of any point after letting go anew that counts as none, metres.
+const STEADY_M: f32 = 1e-3;
+/// Speed (m/s), angular speed (rad/s) and time (s) at which the engine takes a group to be at rest.
+const SLEEP: (f32, f32, f32) = (0.004, 0.1, 0.25);
 /// Coulomb friction of everything against everything.
 const FRICTION: f32 = 0.7;
 
@@ -59,6 +69,22 @@ pub enum Unsettled {
 /// # Errors
 /// [`Unsettled`] when something falls off or keeps moving.
 pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettled> {
+    let mut now = let_go(top, things)?;
+    for _ in 0..ROUNDS {
+        // What rests only by the impulses of the steps before moves when it is let go anew.
+        let again: Vec<(&Solid, Pose)> = things.iter().zip(&now).map(|(t, p)| (t.0, *p)).collect();
+        let next = let_go(top, &again)?;
+        let steady = again.iter().zip(&next).all(|((s, was), is)| motion(was, is, s.size().length()) < STEADY_M);
+        now = next;
+        if steady {
+            return Ok(now);
+        }
+    }
+    Err(Unsettled::Moving)
+}
+
+/// Follows things until all are still.
+fn let_go(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettled> {
     let (mut world, handles) = built(top, things);
     let radius: Vec<f32> = things.iter().map(|(s, _)| s.size().length()).collect();
     let still_steps = (STILL_S / STEP_S).round() as usize;
@@ -67,6 +93,9 @@ pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettl
         world.step();
         if step % still_steps != 0 {
             continue;
+        }
+        if step as f32 * STEP_S >= CALM_S {
+            calm(&mut world, &handles);
         }
         let now = poses(&world, &handles);
         // The plane goes on beyond the edge; what has its centre of mass there would fall.
@@ -80,7 +109,6 @@ pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettl
         }
         before = now;
     }
-    if std::env::var("DBG").is_ok() { world.step(); let now=poses(&world,&handles); for (i,(a,b)) in now.iter().zip(&before).enumerate() { let m=motion(a,b,0.0); let n=motion(a,b,radius[i]); if n>1e-4 {let v=world.bodies[handles[i]].vels(); println!("   body {i} m {:.4} step lin {m:.6} tot {n:.6} v {:?} w {:?} sleeping {}", things[i].0.mass.mass(), v.linvel, v.angvel, world.bodies[handles[i]].is_sleeping());} } println!(); }
     Err(Unsettled::Moving)
 }
 
@@ -101,6 +129,16 @@ pub fn drift(top: &Top, things: &[(&Solid, Pose)], seconds: f32) -> f32 {
     now.iter().zip(things).map(|(p, (s, was))| motion(was, p, s.size().length())).fold(0.0, f32::max)
 }
 
+/// Damps what is left of the movement: no real thing rocks on and on by tenths of a millimetre.
+fn calm(world: &mut PhysicsWorld, handles: &[RigidBodyHandle]) {
+    for h in handles {
+        if let Some(body) = world.bodies.get_mut(*h) {
+            body.set_linear_damping(4.0);
+            body.set_angular_damping(15.0);
+        }
+    }
+}
+
 fn poses(world: &PhysicsWorld, handles: &[RigidBodyHandle]) -> Vec<Pose> {
     handles.iter().filter_map(|h| world.bodies.get(*h)).map(|b| *b.position()).collect()
 }
@@ -110,37 +148,32 @@ fn built(top: &Top, things: &[(&Solid, Pose)]) -> (PhysicsWorld, Vec<RigidBodyHa
     world.gravity = Vec3::new(0.0, 0.0, -9.81);
     let p = &mut world.integration_parameters;
     p.dt = STEP_S;
-    // Things are centimetres in size: slop and speculative margin a tenth of what metres would need.
-    p.length_unit = 0.05;
-    let e = |n: &str, d: f32| std::env::var(n).map_or(d, |s| s.parse().unwrap());
-    p.num_solver_iterations = e("ITER", 8.0) as usize;
-    p.dt = 1.0 / e("HZ", 200.0);
-    p.length_unit = e("LU", 0.05);
-    p.contact_recycling = e("REC", 0.0) > 0.0;
-    p.contact_clustering = e("CLU", 0.0) > 0.0;
-    p.normalized_prediction_distance = e("PRED", 0.02);
-    if e("COUL", 0.0) > 0.0 { p.friction_model = rapier3d::prelude::FrictionModel::Coulomb; }
-    p.static_contact_softness.natural_frequency = e("SF", 120.0);
-    p.static_contact_softness.damping_ratio = e("SD", 10.0);
-    p.contact_softness.natural_frequency = e("CF", 60.0);
-    p.contact_softness.damping_ratio = e("CD", 10.0);
-    p.warmstart_coefficient = e("WARM", 1.0);
+    // Things are centimetres in size: slop and speculative margin a fifth of what metres would need.
+    p.length_unit = 0.2;
+    p.num_solver_iterations = 8;
+    // Stiff and slow to correct: soft contacts let stacks sink into one another, lively ones rock.
+    let stiff = SpringCoefficients::new(100.0, 20.0);
+    (p.contact_softness, p.static_contact_softness) = (stiff, stiff);
+    // Contacts kept over steps are those of metre-sized things; a spoon has tipped over by then.
+    p.contact_recycling = false;
+    p.contact_clustering = false;
     let plane = ColliderBuilder::new(SharedShape::new(HalfSpace { normal: Vec3::Z })).translation(Vec3::Z * top.height);
     world.insert_collider(plane.friction(FRICTION), None);
     let handles = things
         .iter()
         .map(|(solid, pose)| {
-            let body = RigidBodyBuilder::dynamic().pose(*pose).linear_damping(e("LD",0.6)).angular_damping(e("AD",2.5)).can_sleep(true);
-            let collider = ColliderBuilder::new(solid.compound.clone())
-                .friction(FRICTION)
-                .restitution(0.0)
-                .mass_properties({let mut m = solid.mass; m.set_mass(m.mass() * std::env::var("MASS").map_or(1000.0, |s| s.parse().unwrap()), true); m});
+            let body = RigidBodyBuilder::dynamic().pose(*pose).linear_damping(0.6).angular_damping(2.5).build();
+            let mut mass = solid.mass;
+            // In grams: the inertia of a pencil in kg m² is below what the engine takes for zero.
+            mass.set_mass(mass.mass() * 1000.0, true);
+            let collider =
+                ColliderBuilder::new(solid.compound.clone()).friction(FRICTION).restitution(0.0).mass_properties(mass);
             let handle = world.insert(body, collider).0;
             if let Some(body) = world.bodies.get_mut(handle) {
                 let rest = body.activation_mut();
-                rest.normalized_linear_threshold = e("LT", 0.08);
-                rest.angular_threshold = e("AT", 0.1);
-                rest.time_until_sleep = e("TS", 0.25);
+                rest.normalized_linear_threshold = SLEEP.0 / 0.2;
+                rest.angular_threshold = SLEEP.1;
+                rest.time_until_sleep = SLEEP.2;
             }
             handle
         })

@@ -75,7 +75,15 @@ impl Solid {
         if shapes.is_empty() {
             return None;
         }
-        Some(Self { pieces: shapes.len(), compound: SharedShape::compound(shapes), mass, parts, samples, bounds, cavity })
+        Some(Self {
+            pieces: shapes.len(),
+            compound: SharedShape::compound(shapes),
+            mass,
+            parts,
+            samples,
+            bounds,
+            cavity,
+        })
     }
 
     /// Extent along the model's axes, metres.
@@ -86,7 +94,8 @@ impl Solid {
 
 /// The cavity as one part sees it: only a part around its axis is hollow.
 fn hollow(triangles: &[[Vec3; 3]], cavity: &Cavity) -> Option<Hollow> {
-    let (low, high) = triangles.iter().flatten().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+    let (low, high) =
+        triangles.iter().flatten().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
     let reach = cavity.radius * 0.8;
     let around = low.x < cavity.axis.x - reach
         && low.y < cavity.axis.y - reach
@@ -131,7 +140,8 @@ fn parts(model: &Model) -> Vec<Vec<Weighed>> {
         groups[at].1.push(face);
     }
     let extent = |g: &[Weighed]| {
-        let (l, h) = g.iter().flat_map(|t| t.0).fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+        let (l, h) =
+            g.iter().flat_map(|t| t.0).fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
         (h - l).length()
     };
     groups.sort_by(|a, b| extent(&b.1).total_cmp(&extent(&a.1)).then(a.0.cmp(&b.0)));
