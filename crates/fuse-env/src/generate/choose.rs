@@ -8,80 +8,27 @@ use rand_chacha::ChaCha8Rng;
 use super::Validity;
 use crate::catalogue::{Category, ObjectRecord};
 use crate::configuration::{ClutterStyle, SceneConfiguration};
+use crate::difficulty::Difficulty;
 use crate::world::Stage;
 
-/// Chance of a further valid object among the distractors, for each of two.
-const SECOND_TARGET: f64 = 0.3;
-/// Near misses and tall things among the distractors, at least, as far as there are any.
-const NEAR: usize = 3;
-const TALL: usize = 3;
-/// Height from which a thing can hide another, metres.
-const TALL_M: f32 = 0.085;
+/// Things that look or are handled alike: those of one kin are near misses of each other.
+pub const KIN: &[&[Category]] = {
+    use Category::*;
+    &[
+        &[Knife, ButterKnife, BoxCutter, Scissors, Spatula, Fork],
+        &[Spoon, Ladle, Fork, ButterKnife, Whisk, Spatula, Chopsticks, Tongs, Sieve],
+        &[Mug, Bowl, Pitcher, WaterBottle, Teapot, MeasuringCup, WineGlass, Can, Candle],
+        &[Marker, Pen, Pencil, Chopsticks, Screwdriver, Flashlight],
+        &[Hammer, Mallet, Screwdriver, Wrench, Pliers, RollingPin, Flashlight, Tongs],
+        &[Sponge, Towel, Book, Eraser, ScrubBrush],
+        &[Ruler, TapeMeasure, TapeDispenser, Stapler, BinderClip, BoxCutter, Eraser],
+        &[Plate, Tray, Bowl, Colander, Book],
+        &[Sieve, Colander, Grater, Ladle, Bowl],
+    ]
+};
 
-/// Things of one family look or are handled alike: near misses of each other.
-fn families(category: Category) -> &'static [Family] {
-    use Category as C;
-    use Family as F;
-    match category {
-        C::Knife | C::BoxCutter => &[F::Blade],
-        C::ButterKnife => &[F::Blade, F::Cutlery],
-        C::Scissors => &[F::Blade, F::Pincer],
-        C::Spatula => &[F::Blade, F::Kitchen],
-        C::Spoon => &[F::Cutlery, F::Kitchen],
-        C::Fork | C::Chopsticks => &[F::Cutlery],
-        C::Ladle | C::Whisk => &[F::Kitchen],
-        C::Sieve => &[F::Kitchen, F::Strainer],
-        C::Colander => &[F::Strainer, F::Vessel],
-        C::Grater => &[F::Strainer, F::Cylinder],
-        C::Tongs => &[F::Pincer, F::Kitchen],
-        C::Pliers => &[F::Pincer, F::Tool],
-        C::BinderClip | C::Stapler => &[F::Pincer, F::Desk],
-        C::Mug | C::MeasuringCup => &[F::Vessel, F::Pourer],
-        C::Bowl | C::WineGlass => &[F::Vessel],
-        C::Pitcher | C::Teapot => &[F::Pourer],
-        C::WaterBottle => &[F::Pourer, F::Cylinder],
-        C::Can | C::Candle => &[F::Cylinder, F::Vessel],
-        C::Flashlight => &[F::Cylinder, F::Tool],
-        C::RollingPin => &[F::Cylinder, F::Striker],
-        C::Plate | C::Tray => &[F::Flat],
-        C::Book => &[F::Flat, F::Block],
-        C::Towel => &[F::Flat, F::Soft],
-        C::Sponge | C::ScrubBrush => &[F::Soft, F::Block],
-        C::Eraser => &[F::Block, F::Desk],
-        C::Hammer | C::Mallet => &[F::Striker, F::Tool],
-        C::Wrench => &[F::Striker, F::Tool],
-        C::Screwdriver => &[F::Tool, F::Stick],
-        C::Pen | C::Pencil | C::Marker => &[F::Stick],
-        C::Ruler => &[F::Stick, F::Measure],
-        C::TapeMeasure => &[F::Measure, F::Desk],
-        C::TapeDispenser => &[F::Desk],
-    }
-}
-
-/// What makes things alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Family {
-    Blade,
-    Block,
-    Cutlery,
-    Cylinder,
-    Desk,
-    Flat,
-    Kitchen,
-    Measure,
-    Pincer,
-    Pourer,
-    Soft,
-    Stick,
-    Strainer,
-    Striker,
-    Tool,
-    Vessel,
-}
-
-/// Whether two kinds of things are near misses of each other.
-fn alike(a: Category, b: Category) -> bool {
-    families(a).iter().any(|f| families(b).contains(f))
+fn kin(a: Category, b: Category) -> bool {
+    KIN.iter().any(|group| group.contains(&a) && group.contains(&b))
 }
 
 /// Categories that a clutter style needs, each with how many things of any of them.
@@ -130,6 +77,7 @@ pub(super) fn choose<'a>(
     scene: &SceneConfiguration,
     validity: &Validity,
     verb: &str,
+    difficulty: &Difficulty,
     strict: bool,
     rng: &mut ChaCha8Rng,
 ) -> Option<Vec<&'a ObjectRecord>> {
@@ -143,9 +91,9 @@ pub(super) fn choose<'a>(
     let target = *mine.choose(rng)?;
     all.retain(|r| r.id != target.id);
     all.shuffle(rng);
-    let [low, high] = scene.clutter.distractors;
+    let [low, high] = difficulty.distractors.unwrap_or(scene.clutter.distractors);
     let wanted = rng.random_range(low..=high) as usize;
-    let seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET) || !strict).count();
+    let seconds = (0..2).filter(|_| rng.random_bool(difficulty.second_target) || !strict).count();
     let mut choice = Choice { valid, chosen: vec![target], left: all, seconds, most: wanted + 1 };
     for (hosts, count) in needs(scene.clutter.style) {
         let there = usize::from(hosts.contains(&category));
@@ -159,13 +107,13 @@ pub(super) fn choose<'a>(
             choice.take(1, |r| hosts.contains(&r.category), true);
         }
     }
-    let near = |r: &ObjectRecord| !valid.contains(&r.category) && alike(r.category, category);
-    let tall = |r: &ObjectRecord| !valid.contains(&r.category) && r.size_m[2] > TALL_M;
+    let near = |r: &ObjectRecord| !valid.contains(&r.category) && kin(r.category, category);
+    let tall = |r: &ObjectRecord| !valid.contains(&r.category) && r.size_m[2] >= difficulty.tall_from_m;
     let have = |choice: &Choice<'_, '_>, rule: &dyn Fn(&ObjectRecord) -> bool| {
         choice.chosen[1..].iter().filter(|r| rule(r)).count()
     };
-    choice.take(NEAR.saturating_sub(have(&choice, &near)), near, false);
-    choice.take(TALL.saturating_sub(have(&choice, &tall)), tall, false);
+    choice.take((difficulty.near_misses as usize).saturating_sub(have(&choice, &near)), near, false);
+    choice.take((difficulty.tall_occluders as usize).saturating_sub(have(&choice, &tall)), tall, false);
     choice.take(wanted, |_| true, false);
     Some(choice.chosen)
 }
@@ -196,5 +144,17 @@ impl Choice<'_, '_> {
             self.chosen.push(self.left.remove(i));
         }
         self.chosen.len() - before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_category_has_a_near_miss() {
+        for a in Category::ALL {
+            assert!(Category::ALL.iter().any(|b| a != b && kin(*a, *b)), "{a} stands alone");
+        }
     }
 }

@@ -20,6 +20,8 @@ use crate::objects::finish::density;
 const PARTS: usize = 16;
 /// Convex pieces of an open vessel, of one of the two largest parts of anything else, and of a small part.
 const PIECES: [usize; 3] = [56, 10, 2];
+/// Density of what encloses no volume of its own, kg/m³.
+const OPEN_DENSITY: f32 = 500.0;
 /// Distance of the points on the surface at which penetration is measured, metres, and of those at vertices.
 const SAMPLE: [f32; 2] = [0.003, 0.0006];
 
@@ -51,13 +53,12 @@ impl std::fmt::Debug for Solid {
 type Weighed = ([Vec3; 3], f64);
 
 impl Solid {
-    /// The solid of a model; `None` when nothing of it encloses a volume.
+    /// The solid of a model; `None` when it spans no volume.
     pub fn new(model: &Model) -> Option<Self> {
         let groups = parts(model);
         let parts: Vec<TriMesh> = groups.iter().filter_map(|g| trimesh(g)).collect();
         let points = || groups.iter().flatten().flat_map(|t| t.0);
         let bounds = [points().reduce(Vec3::min)?, points().reduce(Vec3::max)?];
-        let mass = mass(groups.iter().flatten())?;
         let samples = samples(groups.iter().flatten().map(|t| t.0));
         let cavity = cavity::find(&parts, &samples, bounds[0], bounds[1]);
         let mut hulls: Vec<Hull> = vec![];
@@ -75,15 +76,11 @@ impl Solid {
         if shapes.is_empty() {
             return None;
         }
-        Some(Self {
-            pieces: shapes.len(),
-            compound: SharedShape::compound(shapes),
-            mass,
-            parts,
-            samples,
-            bounds,
-            cavity,
-        })
+        let pieces = shapes.len();
+        let compound = SharedShape::compound(shapes);
+        // What is open, as a user's model may be, weighs as much as its pieces would, half full.
+        let mass = mass(groups.iter().flatten()).unwrap_or_else(|| compound.mass_properties(OPEN_DENSITY));
+        Some(Self { pieces, compound, mass, parts, samples, bounds, cavity })
     }
 
     /// Extent along the model's axes, metres.
