@@ -26,7 +26,7 @@ from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.errors import InputError
 from fuse_grounding.registration import ColmapRegistrar, RegistrationError
 
-SCENES = ("train_workshop", "dev_kitchen", "dev_study", "dev_plain_table")
+SCENES = ("train_workshop", "dev_kitchen", "train_study", "dev_plain_table")
 VERB = "cut"
 NO_OP = 7
 

@@ -332,7 +332,7 @@ def test_what_lies_beside_the_photos_is_checked(folder: Path, case: str):
     [
         ("--capture nowhere", "capture nowhere is not a folder"),
         ("--capture photos --seed 3", "--scene and --seed are for made ones"),
-        ("--capture photos --scene dev_study", "--scene and --seed are for made ones"),
+        ("--capture photos --scene train_study", "--scene and --seed are for made ones"),
         ("--capture photos --scale far", "--scale far: expected metres, such as 0.8, or poses"),
         ("--capture photos --scale -1", "scale must be a positive number of metres, found -1.0"),
         ("--capture photos --scale nan", "scale must be a positive number of metres, found nan"),

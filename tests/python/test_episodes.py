@@ -92,11 +92,11 @@ def test_dev_begins_with_five_verbs_and_evaluation_asks_in_words_of_its_own():
 
 
 def test_a_seed_is_an_episode_with_its_statistics():
-    one = make_episode("write", "dev_study", 4)
-    again = make_episode("write", "dev_study", 4)
+    one = make_episode("write", "train_study", 4)
+    again = make_episode("write", "train_study", 4)
     assert (one, one.statistics_text) == (again, again.statistics_text)
-    assert one.data["objects"] != make_episode("write", "dev_study", 5).data["objects"]
-    assert (one.verb, one.scene_id, one.split) == ("write", "dev_study", "dev")
+    assert one.data["objects"] != make_episode("write", "train_study", 5).data["objects"]
+    assert (one.verb, one.scene_id, one.split) == ("write", "train_study", "train")
     assert one.statistics is not None
     assert [s["instance_id"] for s in one.statistics] == one.data["valid_target_ids"]
     # Counted anew where they are not known, and that is said.

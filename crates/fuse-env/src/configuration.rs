@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::catalogue::Split;
 
 /// Version of `scenes.json` that this build reads.
-pub const SCENES_SCHEMA_VERSION: u32 = 1;
+pub const SCENES_SCHEMA_VERSION: u32 = 2;
 
 /// Why a scene configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +88,14 @@ pub enum SurfaceKind {
     Cloth,
     /// Plain laminate: almost nothing to hold on to.
     Laminate,
+    /// Chips of stone in two colours in a pale ground.
+    Terrazzo,
+    /// Strips of bamboo, glued, with their nodes.
+    Bamboo,
+    /// Riven slate slabs with rusty stains.
+    Slate,
+    /// Woven cloth in squares of two colours.
+    Checkered,
 }
 
 /// A procedural surface; the same values give the same texels.
@@ -204,10 +212,30 @@ pub struct Ellipse {
     pub camera_height_m: f64,
 }
 
+/// How things on a table relate to one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClutterStyle {
+    /// Each by itself on the table, well apart.
+    Sparse,
+    /// Close together on the table.
+    Packed,
+    /// Plates, bowls, books and trays in stacks that carry things.
+    Stacked,
+    /// Long things lean against what stands.
+    Leaning,
+    /// Long things stand in mugs, pitchers and measuring cups.
+    InContainers,
+    /// Things stand on a tray.
+    OnTray,
+}
+
 /// How things lie on the table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Clutter {
+    /// How things relate to one another.
+    pub style: ClutterStyle,
     /// Semi-axes of the ellipse around the table's middle that holds the objects' centres, metres.
     pub extent_m: [f32; 2],
     /// 0 spreads evenly, 1 heaps around the target.
@@ -300,8 +328,8 @@ mod tests {
     fn mistakes_are_named() {
         let typo = SHIPPED.replacen("\"tightness\"", "\"tightnes\"", 1);
         assert!(parse("s.json", &typo).unwrap_err().to_string().contains("tightnes"));
-        let version = SHIPPED.replacen("\"schema_version\": 1", "\"schema_version\": 9", 1);
-        assert!(parse("s.json", &version).unwrap_err().to_string().contains("version 9, expected 1"));
+        let version = SHIPPED.replacen("\"schema_version\": 2", "\"schema_version\": 9", 1);
+        assert!(parse("s.json", &version).unwrap_err().to_string().contains("version 9, expected 2"));
 
         let mut scene = parse("s.json", SHIPPED).unwrap().remove(0);
         scene.ellipse.semi_axes_m[1] = 1.4;

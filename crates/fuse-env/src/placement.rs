@@ -3,6 +3,14 @@
 //! Two objects are kept apart by their footprints: the convex hulls of their vertical projections,
 //! at least `gap` apart. That is conservative: it also forbids what would fit under something.
 
+pub mod cavity;
+pub mod check;
+pub mod compound;
+pub mod layout;
+mod piece;
+pub mod settle;
+pub mod solid;
+
 use std::f32::consts::TAU;
 
 use fuse_render::Model;
@@ -169,8 +177,15 @@ struct Turned {
     radius: f32,
 }
 
-fn turn(item: &Item<'_>, rest: Quat, yaw: f32) -> Option<Turned> {
-    let rotation = (Quat::from_rotation_z(yaw) * rest).normalize();
+/// A unit vector at a random angle. Sine and cosine are the physics engine's, which are the same on
+/// every machine; the system's are not.
+pub(crate) fn direction(rng: &mut ChaCha8Rng) -> Vec2 {
+    let v = rapier3d::glamx::Vec2::from_angle(rng.random::<f32>() * TAU);
+    Vec2::new(v.x, v.y)
+}
+
+fn turn(item: &Item<'_>, rest: Quat, half_yaw: Vec2) -> Option<Turned> {
+    let rotation = (Quat::from_xyzw(0.0, 0.0, half_yaw.y, half_yaw.x) * rest).normalize();
     let matrix = Mat3::from_quat(rotation);
     let points: Vec<Vec3> = item.model.meshes.iter().flat_map(|m| m.positions.iter().map(|p| matrix * *p)).collect();
     let low = points.iter().map(|p| p.z).reduce(f32::min)?;
@@ -197,7 +212,7 @@ fn pick_rest(rests: &[Rest], rng: &mut ChaCha8Rng) -> Quat {
 /// A point of the ellipse, uniformly over its area.
 fn anywhere(surface: &Surface, rng: &mut ChaCha8Rng) -> Vec2 {
     let radius = rng.random::<f32>().sqrt();
-    surface.center + Vec2::from_angle(rng.random::<f32>() * TAU) * radius * surface.extent
+    surface.center + direction(rng) * radius * surface.extent
 }
 
 /// A point beside an object that is already there: about as far as both radii allow.
@@ -205,7 +220,7 @@ fn beside(other: &Placed, own: f32, surface: &Surface, rng: &mut ChaCha8Rng) -> 
     let center = other.footprint.iter().sum::<Vec2>() / other.footprint.len() as f32;
     let radius = other.footprint.iter().map(|p| p.distance(center)).fold(0.0, f32::max);
     let reach = rng.random_range(0.25..1.0) * (own + radius) + surface.gap + 0.03 * rng.random::<f32>();
-    center + Vec2::from_angle(rng.random::<f32>() * TAU) * reach
+    center + direction(rng) * reach
 }
 
 /// Lower is better: near the heap where the style is tight; tall things near the first object.
@@ -243,7 +258,7 @@ fn place_one(
     let rest = pick_rest(item.rests, rng);
     // Turning all vertices is the expensive part: a few yaws, many positions each.
     let yaws: Vec<Turned> = (0..6)
-        .map(|_| turn(item, rest, rng.random::<f32>() * TAU).ok_or(PlacementError::Empty(index)))
+        .map(|_| turn(item, rest, direction(rng)).ok_or(PlacementError::Empty(index)))
         .collect::<Result<_, _>>()?;
     let mut best: Option<(f32, Placed)> = None;
     let mut found = 0;

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use crate::catalogue::{Category, Split};
 use crate::configuration::{
-    Clutter, Ellipse, Lighting, Room, SceneConfiguration, Surface, SurfaceKind, Table, TableShape,
+    Clutter, ClutterStyle, Ellipse, Lighting, Room, SceneConfiguration, Surface, SurfaceKind, Table, TableShape,
 };
 use crate::objects;
 use crate::placement::{self, Item, Rest};
@@ -295,6 +295,7 @@ fn random_scene(rng: &mut ChaCha8Rng, split: Split) -> SceneConfiguration {
         },
         ellipse: Ellipse { center_m: [0.0, 0.0], semi_axes_m: [0.7, 0.7], camera_height_m: 1.5 },
         clutter: Clutter {
+            style: ClutterStyle::Packed,
             extent_m: side(rng, 0.28, 0.45),
             tightness: rng.random_range(0.2..0.95),
             distractors: [6, 14],

@@ -34,8 +34,10 @@ pub fn table_outline(table: &Table) -> Vec<Vec2> {
                 .map(|c| center + c * half)
                 .to_vec()
         }
+        // The physics engine's sine, the same on every machine: things are placed by this outline.
         TableShape::Round => (0..ROUND_CORNERS)
-            .map(|i| center + Vec2::from_angle(TAU * i as f32 / ROUND_CORNERS as f32) * half)
+            .map(|i| rapier3d::glamx::Vec2::from_angle(TAU * i as f32 / ROUND_CORNERS as f32))
+            .map(|d| center + Vec2::from_array(d.to_array()) * half)
             .collect(),
     }
 }

@@ -3,6 +3,8 @@
 //! Every pattern is a function of the position in metres, so features have real sizes, and is made
 //! of several scales (centimetres to a millimetre) that never repeat: feature matchers need both.
 
+mod patterns;
+
 use std::sync::Arc;
 
 use fuse_render::Texture;
@@ -254,6 +256,10 @@ fn color(surface: &Surface, base: Vec3, accent: Vec3, p: Vec2) -> [u8; 4] {
         SurfaceKind::Concrete => concrete(q, seed),
         SurfaceKind::Cloth => cloth(q, seed),
         SurfaceKind::Laminate => laminate(q, seed),
+        SurfaceKind::Terrazzo => patterns::terrazzo(q, seed),
+        SurfaceKind::Bamboo => patterns::bamboo(q, seed),
+        SurfaceKind::Slate => patterns::slate(q, seed),
+        SurfaceKind::Checkered => patterns::checkered(q, seed),
     };
     let worn = if surface.wear > 0.0 { surface.wear * wear(p, seed) } else { 0.0 };
     let mixed = base.lerp(accent, (tone.accent * surface.contrast).clamp(0.0, 1.0));
@@ -325,6 +331,17 @@ mod tests {
         }
     }
 
+    const STRONG: [SurfaceKind; 8] = [
+        SurfaceKind::Wood,
+        SurfaceKind::Stone,
+        SurfaceKind::Tiles,
+        SurfaceKind::Cloth,
+        SurfaceKind::Terrazzo,
+        SurfaceKind::Bamboo,
+        SurfaceKind::Slate,
+        SurfaceKind::Checkered,
+    ];
+
     /// Root mean square of horizontal differences after averaging over `block` texels.
     fn detail(t: &Texture, block: u32) -> f64 {
         let mean = |bx: u32, by: u32| {
@@ -343,7 +360,7 @@ mod tests {
 
     #[test]
     fn strong_surfaces_have_detail_at_every_scale_and_laminate_has_little() {
-        for kind in [SurfaceKind::Wood, SurfaceKind::Stone, SurfaceKind::Tiles, SurfaceKind::Cloth] {
+        for kind in STRONG {
             let t = paint(&surface(kind), Vec2::splat(0.4));
             for block in [1, 4, 16] {
                 assert!(detail(&t, block) > 2.0, "{kind:?} at {block}: {}", detail(&t, block));

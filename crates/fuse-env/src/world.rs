@@ -12,6 +12,7 @@ use nalgebra::Point3;
 use crate::catalogue::{Catalogue, CatalogueError};
 use crate::configuration::{self, ConfigurationError, Lighting, SceneConfiguration};
 use crate::episode::{Episode, EpisodeError, EpisodeObject};
+use crate::placement::solid::Solid;
 use crate::ring::{Ring, Viewpoint};
 use crate::room;
 use crate::targets::{self, Subject, TargetStatistics};
@@ -41,6 +42,7 @@ pub enum WorldError {
     },
 }
 
+type Solids = Mutex<HashMap<String, Arc<Solid>>>;
 type Cache = Mutex<HashMap<String, Arc<[Arc<Model>]>>>;
 
 /// Objects and scenes, each loaded or painted once and shared by all worlds.
@@ -50,6 +52,7 @@ pub struct Stage {
     scenes: Vec<SceneConfiguration>,
     models: Cache,
     rooms: Cache,
+    solids: Solids,
 }
 
 impl Stage {
@@ -65,7 +68,7 @@ impl Stage {
 
     /// From what is loaded already.
     pub fn new(catalogue: Catalogue, scenes: Vec<SceneConfiguration>) -> Self {
-        Self { catalogue, scenes, models: Cache::default(), rooms: Cache::default() }
+        Self { catalogue, scenes, models: Cache::default(), rooms: Cache::default(), solids: Solids::default() }
     }
 
     /// The objects.
@@ -93,6 +96,20 @@ impl Stage {
             Ok::<_, WorldError>(vec![self.catalogue.model(record)?])
         })?;
         Ok(models[0].clone())
+    }
+
+    /// The rigid body of an object of the catalogue; made when it is first asked for (about 0.1 s).
+    pub fn solid(&self, id: &str) -> Result<Arc<Solid>, WorldError> {
+        if let Some(found) = self.solids.lock().unwrap_or_else(PoisonError::into_inner).get(id) {
+            return Ok(found.clone());
+        }
+        let solid = Solid::new(self.model(id)?.as_ref())
+            .ok_or_else(|| EpisodeError::Invalid {
+                episode: "being laid out".into(),
+                reason: format!("object `{id}` spans no volume, so it cannot be put down"),
+            })
+            .map(Arc::new)?;
+        Ok(self.solids.lock().unwrap_or_else(PoisonError::into_inner).entry(id.to_owned()).or_insert(solid).clone())
     }
 
     /// The models of a room. `painted` false leaves all surfaces at a few texels: for counting

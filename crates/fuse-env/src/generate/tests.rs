@@ -226,13 +226,13 @@ fn unknown_verbs_and_impossible_targets_are_told_apart() {
     );
     let exhausted = GenerateError::Exhausted {
         verb: "pour".into(),
-        scene: "dev_study".into(),
+        scene: "train_study".into(),
         seed: 3,
         rejections: Rejections::from([("no room on the table", 4), (NOT_HIDDEN, 56)]),
     };
     assert_eq!(
         exhausted.to_string(),
-        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view that \
+        "no episode for `pour` in scene `train_study` with seed 3: 60 layouts were thrown away (no view that \
          hides the target enough: 56, no room on the table: 4); another seed or scene may have one"
     );
     let none = Validity::from([("fly".to_owned(), vec![])]);
