@@ -9,7 +9,7 @@ use crate::catalogue::ObjectRecord;
 use crate::configuration::{ClutterStyle, SceneConfiguration};
 use crate::episode::{EpisodeObject, Quaternion};
 use crate::placement::check::{Unsound, check};
-use crate::placement::layout::{self, Thing};
+use crate::placement::layout::{self, Proposal, Thing};
 use crate::placement::settle::{Top, Unsettled, settle};
 use crate::placement::{Item, Rest, Surface, direction};
 use crate::world::{Stage, WorldError};
@@ -29,6 +29,24 @@ pub(super) fn lay(
     rng: &mut ChaCha8Rng,
 ) -> Result<Result<Vec<EpisodeObject>, &'static str>, WorldError> {
     records[1..].sort_by(|a, b| b.size_m[2].total_cmp(&a.size_m[2]));
+    let mut surface = Surface::of(scene);
+    // The heap is not always in the middle of the table.
+    surface.center += direction(rng) * 0.15 * surface.extent;
+    let poses = match with_things(stage, &records, |things| settled(scene.clutter.style, things, &surface, rng))? {
+        Ok((_, poses)) => poses,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let mut ids: Vec<u32> = (1..=records.len() as u32).collect();
+    ids.shuffle(rng);
+    Ok(Ok(records.iter().zip(&poses).zip(ids).map(|((r, p), id)| object(id, r, p)).collect()))
+}
+
+/// Calls `act` with the models and bodies of some objects.
+fn with_things<T>(
+    stage: &Stage,
+    records: &[&ObjectRecord],
+    act: impl FnOnce(&[Thing<'_>]) -> T,
+) -> Result<T, WorldError> {
     let models = records.iter().map(|r| stage.model(&r.id)).collect::<Result<Vec<_>, _>>()?;
     let solids = records.iter().map(|r| stage.solid(&r.id)).collect::<Result<Vec<_>, _>>()?;
     let rests: Vec<Vec<Rest>> = records
@@ -42,25 +60,16 @@ pub(super) fn lay(
             solid: solids[i].as_ref(),
         })
         .collect();
-    let mut surface = Surface::of(scene);
-    // The heap is not always in the middle of the table.
-    surface.center += direction(rng) * 0.15 * surface.extent;
-    let settled = match settled(scene.clutter.style, &things, &surface, rng) {
-        Ok(poses) => poses,
-        Err(reason) => return Ok(Err(reason)),
-    };
-    let mut ids: Vec<u32> = (1..=records.len() as u32).collect();
-    ids.shuffle(rng);
-    Ok(Ok(records.iter().zip(&settled).zip(ids).map(|((r, p), id)| object(id, r, p)).collect()))
+    Ok(act(&things))
 }
 
-/// Poses in which the things came to rest, or why they are of no use.
+/// What was proposed and the poses in which the things came to rest, or why they are of no use.
 fn settled(
     style: ClutterStyle,
     things: &[Thing<'_>],
     surface: &Surface,
     rng: &mut ChaCha8Rng,
-) -> Result<Vec<Pose>, &'static str> {
+) -> Result<(Proposal, Vec<Pose>), &'static str> {
     let proposal = layout::propose(style, things, surface, rng).map_err(|_| "no room on the table")?;
     let top = Top { outline: surface.outline.clone(), height: surface.height };
     let bodies: Vec<_> = things.iter().zip(&proposal.poses).map(|(t, p)| (t.solid, *p)).collect();
@@ -78,7 +87,7 @@ fn settled(
     if !styled || layout::kept(&proposal, things, &poses, surface.height) < KEPT {
         return Err("things do not stay as the clutter style has them");
     }
-    Ok(poses)
+    Ok((proposal, poses))
 }
 
 fn object(instance_id: u32, record: &ObjectRecord, at: &Pose) -> EpisodeObject {
@@ -91,3 +100,6 @@ fn object(instance_id: u32, record: &ObjectRecord, at: &Pose) -> EpisodeObject {
         rotation: Quaternion { w: q.w, x: q.x, y: q.y, z: q.z },
     }
 }
+
+#[cfg(test)]
+mod tests;

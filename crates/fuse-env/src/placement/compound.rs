@@ -69,6 +69,18 @@ impl Hull {
         Self::of(points)
     }
 
+    /// The box around some points, at least a few tenths of a millimetre thick: for what no hull is found of.
+    pub fn around(points: &[Vec3]) -> Self {
+        let low = points.iter().copied().reduce(Vec3::min).unwrap_or_default();
+        let high = points.iter().copied().reduce(Vec3::max).unwrap_or_default();
+        let (middle, half) = ((low + high) / 2.0, ((high - low) / 2.0).max(Vec3::splat(2e-4)));
+        let sign = |bit: u32| if bit == 0 { -1.0 } else { 1.0 };
+        let points = (0..8u32).map(|i| middle + half * Vec3::new(sign(i & 1), sign(i & 2), sign(i & 4))).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let faces = quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Self { points, faces }
+    }
+
     /// Volume in m³ and surface in m².
     pub fn measure(&self) -> (f64, f64) {
         let Some(origin) = self.points.first().map(|p| p.as_dvec3()) else { return (0.0, 0.0) };
@@ -286,7 +298,13 @@ pub fn decompose(triangles: &[[Vec3; 3]], hollow: Option<Hollow>, most: usize) -
             None => pieces[i].done = true,
         }
     }
-    pieces.iter().filter_map(|p| Hull::simplified(&p.points(), &directions)).collect()
+    pieces
+        .iter()
+        .map(|p| {
+            let points = p.points();
+            Hull::simplified(&points, &directions).unwrap_or_else(|| Hull::around(&points))
+        })
+        .collect()
 }
 
 /// Cuts every piece that is not good as it is by a plane; with `first` 1, the floor is not cut again.

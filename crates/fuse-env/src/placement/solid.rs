@@ -70,7 +70,7 @@ impl Solid {
         }
         let shapes: Vec<(Pose, SharedShape)> = hulls
             .into_iter()
-            .filter_map(|h| ConvexPolyhedron::from_convex_mesh(h.points, &h.faces))
+            .filter_map(polyhedron)
             .map(|p| (Pose::identity(), SharedShape::new(Piece(p))))
             .collect();
         if shapes.is_empty() {
@@ -87,6 +87,15 @@ impl Solid {
     pub fn size(&self) -> Vec3 {
         self.bounds[1] - self.bounds[0]
     }
+}
+
+/// The engine's polyhedron of a hull. It refuses faces that fold by rounding; then its own hull of the same points
+/// will do, or their box.
+fn polyhedron(hull: Hull) -> Option<ConvexPolyhedron> {
+    let boxed = Hull::around(&hull.points);
+    ConvexPolyhedron::from_convex_mesh(hull.points.clone(), &hull.faces)
+        .or_else(|| ConvexPolyhedron::from_convex_hull(&hull.points))
+        .or_else(|| ConvexPolyhedron::from_convex_mesh(boxed.points, &boxed.faces))
 }
 
 /// The cavity as one part sees it: only a part around its axis is hollow.
