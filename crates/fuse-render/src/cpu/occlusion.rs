@@ -25,21 +25,21 @@ const DISTANCE: f32 = 8.0;
 /// Blockers farther away than this do not count, metres; nearer ones count the more, the nearer.
 const REACH: f32 = 0.35;
 /// Makes up for the light that `REACH` lets through.
-const GAIN: f32 = 1.35;
+pub(crate) const GAIN: f32 = 1.35;
 /// The effect fades over this distance at the border of the grid, metres.
-const FADE: f32 = 0.06;
+pub(crate) const FADE: f32 = 0.06;
 
 /// A cell that nothing blocks.
 const OPEN: [u8; 4] = [0, 128, 128, 128];
 
 /// The grid.
-pub(super) struct Occlusion {
-    low: Vec3A,
-    high: Vec3A,
-    cell: f32,
-    size: UVec3,
+pub(crate) struct Occlusion {
+    pub low: Vec3A,
+    pub high: Vec3A,
+    pub cell: f32,
+    pub size: UVec3,
     /// `o0`, `o1` in [0, 1] and [-½, ½], as bytes.
-    cells: Vec<[u8; 4]>,
+    pub cells: Vec<[u8; 4]>,
 }
 
 /// One direction's depth map.

@@ -9,29 +9,29 @@ use super::transform::Setup;
 use crate::Light;
 
 /// What shading reads; made once for a scene.
-pub(super) struct Shading {
-    light: Lamp,
-    shadow: Option<Shadow>,
-    occlusion: Option<Occlusion>,
+pub(crate) struct Shading {
+    pub light: Lamp,
+    pub shadow: Option<Shadow>,
+    pub occlusion: Option<Occlusion>,
     pub encode: SrgbTable,
 }
 
 /// The light, ready for use.
-struct Lamp {
-    position: Vec3A,
-    radius: f32,
-    intensity: Vec3A,
-    sky: Vec3A,
-    ground: Vec3A,
-    soft_boxes: Vec<Patch>,
-    exposure: f32,
+pub(crate) struct Lamp {
+    pub position: Vec3A,
+    pub radius: f32,
+    pub intensity: Vec3A,
+    pub sky: Vec3A,
+    pub ground: Vec3A,
+    pub soft_boxes: Vec<Patch>,
+    pub exposure: f32,
 }
 
 /// A soft box; see [`crate::SoftBox`].
-struct Patch {
-    direction: Vec3A,
-    color: Vec3A,
-    sharpness: f32,
+pub(crate) struct Patch {
+    pub direction: Vec3A,
+    pub color: Vec3A,
+    pub sharpness: f32,
 }
 
 impl Lamp {
@@ -276,10 +276,10 @@ fn environment_brdf(f0: Vec3A, roughness: f32, nv: f32) -> Vec3A {
 }
 
 /// Linear [0, 1] to sRGB bytes.
-pub(super) struct SrgbTable(Vec<u8>);
+pub(crate) struct SrgbTable(Vec<u8>);
 
 impl SrgbTable {
-    const SIZE: usize = 1 << 14;
+    pub(crate) const SIZE: usize = 1 << 14;
 
     pub fn new() -> Self {
         let byte = |i: usize| {

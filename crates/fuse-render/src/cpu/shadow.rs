@@ -19,17 +19,17 @@ use super::transform::{Sampling, View};
 use crate::Light;
 
 /// Gap below which nothing is thought to block, metres: hides the facets of curved things.
-const BIAS: f32 = 0.0012;
+pub(crate) const BIAS: f32 = 0.0012;
 /// Widest view of the map: tangent of the angle off the vertical.
 const MAX_TANGENT: f32 = 2.5;
 /// Widest disc that is summed at one level, texels.
-const MAX_DISC: f32 = 4.0;
+pub(crate) const MAX_DISC: f32 = 4.0;
 
 /// Extreme inverse depths of a 2^level block of texels.
-struct Level {
-    side: usize,
+pub(crate) struct Level {
+    pub side: usize,
     /// `[nearest to the lamp, farthest]`.
-    extremes: Vec<[f32; 2]>,
+    pub extremes: Vec<[f32; 2]>,
 }
 
 impl Level {
@@ -56,19 +56,19 @@ impl Level {
 }
 
 /// What the lamp sees of one box.
-struct Map {
+pub(crate) struct Map {
     /// Lamp's centre.
-    position: Vec3,
-    focal: f32,
+    pub position: Vec3,
+    pub focal: f32,
     /// Texel of the point straight below the lamp.
-    center: Vec2,
-    radius: f32,
-    levels: Vec<Level>,
+    pub center: Vec2,
+    pub radius: f32,
+    pub levels: Vec<Level>,
 }
 
 /// Shadow maps: a fine one around the things, a coarse one for the room.
-pub(super) struct Shadow {
-    maps: Vec<Map>,
+pub(crate) struct Shadow {
+    pub maps: Vec<Map>,
 }
 
 impl Shadow {

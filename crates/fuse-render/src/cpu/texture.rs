@@ -11,16 +11,16 @@ use glam::{Vec2, Vec3A, Vec4};
 use crate::Texture;
 
 /// Most taps along the long axis of a footprint.
-const MAX_TAPS: f32 = 6.0;
+pub(crate) const MAX_TAPS: f32 = 6.0;
 
-struct Level {
-    width: u32,
-    height: u32,
-    texels: Vec<[u16; 4]>,
+pub(crate) struct Level {
+    pub width: u32,
+    pub height: u32,
+    pub texels: Vec<[u16; 4]>,
 }
 
 /// A texture and its smaller copies, made when first sampled: depth and ids need none.
-pub(super) struct MipChain {
+pub(crate) struct MipChain {
     texture: Arc<Texture>,
     levels: OnceLock<Vec<Level>>,
 }
@@ -45,7 +45,8 @@ impl MipChain {
         Self { texture, levels: OnceLock::new() }
     }
 
-    fn levels(&self) -> &[Level] {
+    /// Finest first.
+    pub fn levels(&self) -> &[Level] {
         self.levels.get_or_init(|| {
             let mut levels = vec![Level::new(&self.texture)];
             while let Some(next) = levels.last().and_then(Level::half) {
