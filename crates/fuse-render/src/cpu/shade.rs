@@ -8,6 +8,10 @@ use super::shadow::Shadow;
 use super::transform::Setup;
 use crate::Light;
 
+/// The tone curve is straight up to here, and how fast colours beyond it turn white.
+pub(crate) const TONE_START: f32 = 0.76;
+pub(crate) const TONE_DESATURATION: f32 = 0.15;
+
 /// What shading reads; made once for a scene.
 pub(crate) struct Shading {
     pub light: Lamp,
@@ -249,16 +253,14 @@ impl Shading {
     /// Exposure and tone curve: neutral below 0.76, smooth shoulder above (Khronos PBR neutral,
     /// without its toe), in [0, 1].
     pub fn display(&self, radiance: Vec3A) -> Vec3A {
-        const START: f32 = 0.76;
-        const DESATURATION: f32 = 0.15;
         let c = radiance * self.light.exposure;
         let peak = c.max_element();
-        if peak < START {
+        if peak < TONE_START {
             return c.max(Vec3A::ZERO);
         }
-        let d = 1.0 - START;
-        let new_peak = 1.0 - d * d / (peak + d - START);
-        let g = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
+        let d = 1.0 - TONE_START;
+        let new_peak = 1.0 - d * d / (peak + d - TONE_START);
+        let g = 1.0 - 1.0 / (TONE_DESATURATION * (peak - new_peak) + 1.0);
         (c * (new_peak / peak)).lerp(Vec3A::splat(new_peak), g).clamp(Vec3A::ZERO, Vec3A::ONE)
     }
 }
