@@ -7,9 +7,9 @@ use std::time::Instant;
 
 use common::gpu::device;
 use common::{camera, place, room, tabletop};
-use fuse_camera::gpu::{GpuError, Software};
+use fuse_camera::gpu::{GpuError, Request, Software};
 use fuse_camera::{Camera, IdBuffer};
-use fuse_render::gpu::{Device, GpuRenderer, RenderError};
+use fuse_render::gpu::{Backend, Choice, Device, GpuRenderer, RenderError};
 use fuse_render::{Frame, Instance, Light, RenderOptions, Renderer, Scene, load};
 use glam::Vec3;
 
@@ -69,7 +69,6 @@ fn agreement(cpu: &Frame, gpu: &Frame) -> (f64, f64, f64, f64) {
             let (a, b) = (*cpu.depth.get(x, y), *gpu.depth.get(x, y));
             inners += 1;
             depths += u32::from((a - b).abs() <= DEPTH * a);
-            if (a - b).abs() > DEPTH * a { eprintln!("{x} {y} {a} {b}"); }
         }
         let differences = [0, 1, 2].map(|c| cpu.rgb.get(x, y)[c].abs_diff(gpu.rgb.get(x, y)[c]));
         colours += u32::from(differences.iter().all(|&d| d <= COLOUR));
@@ -132,4 +131,103 @@ fn shipped_objects_look_the_same() {
 fn without_shadow_and_occlusion_it_looks_the_same() {
     let Some(device) = device() else { return };
     assert_agreement("plain", &device, &tabletop(9, 32), &plain());
+}
+
+#[test]
+fn the_same_adapter_gives_the_same_bits_again() {
+    let Some(device) = device() else { return };
+    let new = || GpuRenderer::new(tabletop(9, 24), &RenderOptions::default(), &device).unwrap();
+    let (first, second) = (new(), new());
+    let [(_, one), (_, other), _] = views(333, 251);
+    let frame = first.render(&one).unwrap();
+    // Another view and another size in between.
+    first.render(&other).unwrap();
+    first.depth_ids(&camera(64, 48, [1.0, 0.0, 1.2], [0.0, 0.0, 0.75])).unwrap();
+    assert!(first.render(&one).unwrap() == frame, "a second time");
+    assert!(second.render(&one).unwrap() == frame, "a second renderer");
+}
+
+#[test]
+fn amodal_counts_are_those_of_the_cpu() {
+    let Some(device) = device() else { return };
+    let scene = tabletop(15, 32);
+    let cpu = Renderer::new(scene.clone(), &plain()).unwrap();
+    let gpu = GpuRenderer::new(scene, &plain(), &device).unwrap();
+    let cam = camera(320, 240, [0.7, -0.5, 1.1], [0.0, 0.0, 0.75]);
+    let (expected, found) = (cpu.amodal_all(&cam), gpu.amodal_all(&cam).unwrap());
+    assert!(expected.iter().any(|a| a.visible_px < a.unoccluded_px), "nothing is occluded");
+    assert_eq!(expected.len(), found.len());
+    for (a, b) in expected.iter().zip(&found) {
+        assert_eq!(a.id, b.id);
+        let off = (a.visible_px.abs_diff(b.visible_px)).max(a.unoccluded_px.abs_diff(b.unoccluded_px));
+        assert!(off <= 2, "{a:?} on the CPU, {b:?} on the GPU");
+    }
+}
+
+#[test]
+fn an_empty_scene_is_background() {
+    let Some(device) = device() else { return };
+    let scene = Scene { instances: Vec::new(), light: Light::default(), background: Vec3::new(0.2, 0.4, 0.9) };
+    let cam = camera(33, 25, [0.0; 3], [1.0, 0.0, 0.0]);
+    let expected = Renderer::new(scene.clone(), &RenderOptions::default()).unwrap().render(&cam);
+    let gpu = GpuRenderer::new(scene, &RenderOptions::default(), &device).unwrap();
+    assert_eq!(gpu.render(&cam).unwrap(), expected);
+    assert!(gpu.amodal_all(&cam).unwrap().is_empty());
+}
+
+#[test]
+fn what_cannot_be_rendered_is_named() {
+    let Some(device) = device() else { return };
+    let mut broken = tabletop(1, 8);
+    broken.light.radius = f32::NAN;
+    let error = GpuRenderer::new(broken, &plain(), &device).err().unwrap();
+    assert!(matches!(error, RenderError::Scene(_)) && error.to_string().contains("light.radius"), "{error}");
+    let gpu = GpuRenderer::new(tabletop(1, 8), &plain(), &device).unwrap();
+    let error = gpu.render(&camera(16_384, 8, [0.0; 3], [1.0, 0.0, 0.0])).unwrap_err();
+    let expected = GpuError::ImageSize { width: 16_384, height: 8, allowed: 8192 };
+    assert_eq!(error, expected);
+    // It works on.
+    gpu.render(&camera(16, 8, [0.0; 3], [1.0, 0.0, 0.0])).unwrap();
+}
+
+#[test]
+fn a_choice_prepares_on_what_was_asked_for() {
+    let Some(device) = device() else { return };
+    let cam = camera(64, 48, [0.7, -0.5, 1.1], [0.0, 0.0, 0.75]);
+    let cpu = Choice::take(Request::Cpu, Software::Allowed).unwrap();
+    assert!(cpu.to_string().starts_with("cpu ("), "{cpu}");
+    let scene = tabletop(3, 8);
+    let expected = Renderer::new(scene.clone(), &plain()).unwrap();
+    let prepared = cpu.prepare(scene.clone(), &plain()).unwrap();
+    assert!(matches!(prepared, Backend::Cpu(_)));
+    assert!(prepared.render(&cam).unwrap() == expected.render(&cam));
+    assert_eq!((prepared.ids(), prepared.amodal_all(&cam).unwrap()), (expected.ids(), expected.amodal_all(&cam)));
+    let gpu = Choice::take(Request::Gpu, Software::Allowed).unwrap();
+    assert_eq!(gpu.to_string(), format!("gpu ({})", device.name()));
+    let prepared = gpu.prepare(scene, &plain()).unwrap();
+    assert!(matches!(prepared, Backend::Gpu(_)));
+    assert_eq!(prepared.ids(), expected.ids());
+    let frame = prepared.render(&cam).unwrap();
+    assert_eq!(prepared.depth_ids(&cam).unwrap(), (frame.depth, frame.instance));
+}
+
+/// Runs itself in a process that finds no driver.
+#[test]
+fn without_a_driver_the_error_says_so() {
+    const CHILD: &str = "FUSE_TEST_WITHOUT_DRIVER";
+    if std::env::var_os(CHILD).is_some() {
+        let error = Choice::take(Request::Gpu, Software::Allowed).unwrap_err();
+        assert_eq!(error, GpuError::NoAdapter);
+        assert!(matches!(Choice::take(Request::Auto, Software::Allowed).unwrap(), Choice::Cpu));
+        return;
+    }
+    if device().is_none() || !cfg!(target_os = "linux") {
+        return;
+    }
+    let status = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "without_a_driver_the_error_says_so"])
+        .envs([(CHILD, "1"), ("VK_DRIVER_FILES", "/nonexistent"), ("VK_ICD_FILENAMES", "/nonexistent")])
+        .status()
+        .unwrap();
+    assert!(status.success());
 }

@@ -152,10 +152,8 @@ impl GpuRenderer {
                 let mut encoder = self.encoder();
                 self.raster(&mut encoder, targets, &targets.layers[0], view, 0, Some(count.id));
                 encoder.clear_buffer(&targets.total, 0, None);
-                let bindings = [
-                    (9, BindingResource::TextureView(&targets.all)),
-                    (12, targets.total.as_entire_binding()),
-                ];
+                let bindings =
+                    [(9, BindingResource::TextureView(&targets.all)), (12, targets.total.as_entire_binding())];
                 self.compute(&mut encoder, &self.device.pipelines.count, &bindings, targets);
                 let from = (&targets.total, 0, 4);
                 count.unoccluded_px =

@@ -130,7 +130,8 @@ impl Buffers {
         let mut chains: Vec<Arc<MipChain>> = Vec::new();
         let parts = parts(geometry, &mut levels, &mut chains);
         let maps = shading.shadow.as_ref().map_or(&[][..], |s| &s.maps);
-        let light = light(&shading.light, scene.background, shading.shadow.as_ref(), shading.occlusion.as_ref(), &mut levels);
+        let light =
+            light(&shading.light, scene.background, shading.shadow.as_ref(), shading.occlusion.as_ref(), &mut levels);
         let texels = chains.iter().flat_map(|c| c.levels().iter().map(|l| &l.texels[..]));
         let extremes = maps.iter().flat_map(|m| m.levels.iter().map(|l| &l.extremes[..]));
         let vertices: Vec<Vertex> = (0..geometry.positions.len())
