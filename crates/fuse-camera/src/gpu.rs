@@ -52,6 +52,13 @@ pub enum GpuError {
     Failed(String),
 }
 
+impl GpuError {
+    /// Whether the machine failed, rather than the caller having asked for what there is not.
+    pub fn is_failure(&self) -> bool {
+        matches!(self, Self::Open { .. } | Self::Failed(_))
+    }
+}
+
 /// What a caller asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {

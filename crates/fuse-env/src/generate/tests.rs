@@ -73,7 +73,7 @@ fn an_episode_keeps_its_promises() {
     // The full renderer agrees with the statistics about the start.
     let world = World::load(e, stage()).unwrap();
     let start = e.start().unwrap();
-    let frame = world.render(start);
+    let frame = world.render(start).unwrap();
     let visible = frame.instance.as_slice().iter().filter(|id| **id == e.target).count() as u32;
     assert_eq!(visible, e.statistics[0].visible_px[start.index()]);
     assert!((0.05..=0.6).contains(&e.statistics[0].fraction(start)));
