@@ -12,7 +12,7 @@ from fuse_grounding.environment.episodes import (
 )
 from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.environment.replay import ReplayEnvironment
-from fuse_grounding.environment.tabletop import TabletopEnvironment, Target
+from fuse_grounding.environment.tabletop import TabletopEnvironment, Target, render_device
 
 __all__ = [
     "Blind",
@@ -26,6 +26,7 @@ __all__ = [
     "load_episodes",
     "make_episode",
     "make_episodes",
+    "render_device",
     "save_episodes",
     "scene_names",
 ]
