@@ -107,7 +107,8 @@ def _settings(config: Config) -> dict[str, Any]:
         for section in sections:
             table = table[section]
         del table[last]
-    return settings
+    # A section of runtime settings only leaves nothing to compare.
+    return {key: value for key, value in settings.items() if value != {}}
 
 
 def _first_difference(found: Any, wanted: Any, key: str) -> str | None:
