@@ -192,9 +192,9 @@ pub struct World {
 
 /// A scene on the backend that it was prepared for.
 enum Prepared {
-    Cpu(Renderer),
+    Cpu(Box<Renderer>),
     #[cfg(feature = "gpu")]
-    Gpu(fuse_render::gpu::GpuRenderer),
+    Gpu(Box<fuse_render::gpu::GpuRenderer>),
 }
 
 impl World {
@@ -202,7 +202,7 @@ impl World {
     pub fn load(episode: &Episode, stage: &Stage) -> Result<Self, WorldError> {
         episode.validate(stage.catalogue(), stage.scenes())?;
         let scene = stage.scene(&episode.scene_id)?;
-        let renderer = Prepared::Cpu(stage.renderer(scene, &episode.objects, true)?);
+        let renderer = Prepared::Cpu(Box::new(stage.renderer(scene, &episode.objects, true)?));
         Ok(Self { renderer, ring: Ring::of(scene) })
     }
 
@@ -218,7 +218,7 @@ impl World {
             RenderError::Scene(source) => WorldError::Scene { scene: scene.name.clone(), source },
             RenderError::Gpu(error) => error.into(),
         })?;
-        Ok(Self { renderer: Prepared::Gpu(renderer), ring: Ring::of(scene) })
+        Ok(Self { renderer: Prepared::Gpu(Box::new(renderer)), ring: Ring::of(scene) })
     }
 
     /// The scene's viewpoints.

@@ -58,8 +58,8 @@ impl Choice {
     /// As [`Renderer::new`] and [`GpuRenderer::new`].
     pub fn prepare(&self, scene: Scene, options: &RenderOptions) -> Result<Backend, RenderError> {
         Ok(match self {
-            Self::Cpu => Backend::Cpu(Renderer::new(scene, options)?),
-            Self::Gpu(device) => Backend::Gpu(GpuRenderer::new(scene, options, device)?),
+            Self::Cpu => Backend::Cpu(Box::new(Renderer::new(scene, options)?)),
+            Self::Gpu(device) => Backend::Gpu(Box::new(GpuRenderer::new(scene, options, device)?)),
         })
     }
 }
@@ -76,9 +76,9 @@ impl fmt::Display for Choice {
 /// A prepared scene on either backend.
 pub enum Backend {
     /// On the CPU; never fails.
-    Cpu(Renderer),
+    Cpu(Box<Renderer>),
     /// On a GPU.
-    Gpu(GpuRenderer),
+    Gpu(Box<GpuRenderer>),
 }
 
 impl Backend {

@@ -11,9 +11,9 @@ pub struct Prepared {
 }
 
 enum Inner {
-    Cpu(Renderer),
+    Cpu(Box<Renderer>),
     #[cfg(feature = "gpu")]
-    Gpu(fuse_render::gpu::GpuRenderer),
+    Gpu(Box<fuse_render::gpu::GpuRenderer>),
 }
 
 impl Prepared {
@@ -43,11 +43,11 @@ impl Prepared {
 pub fn backends(scene: &Scene, options: &RenderOptions) -> Vec<Prepared> {
     let cpu = Renderer::new(scene.clone(), options).expect("a sound scene");
     #[cfg_attr(not(feature = "gpu"), allow(unused_mut))]
-    let mut all = vec![Prepared { name: "cpu", inner: Inner::Cpu(cpu) }];
+    let mut all = vec![Prepared { name: "cpu", inner: Inner::Cpu(Box::new(cpu)) }];
     #[cfg(feature = "gpu")]
     all.extend(super::gpu::device().map(|device| {
         let gpu = fuse_render::gpu::GpuRenderer::new(scene.clone(), options, &device).expect("a sound scene");
-        Prepared { name: "gpu", inner: Inner::Gpu(gpu) }
+        Prepared { name: "gpu", inner: Inner::Gpu(Box::new(gpu)) }
     }));
     all
 }
