@@ -68,12 +68,15 @@ bench-peers: install
 	@test -d "$(PEERS)" || { echo "PEERS must be a folder with checkouts: OpenSplat, torch-splatting, brush" >&2; exit 2; }
 	$(BIN)/python benches/peers.py --sources $(PEERS) $(PEERS_OPTIONS)
 
-# Remakes the shipped objects, their contact sheets and development episodes from recorded seeds.
+# Remakes the shipped objects, their contact sheets, the pictures of the scenes and all sets of
+# episodes from recorded seeds.
 data: install
 	rm -rf python/fuse_grounding/data/objects
 	$(BIN)/fuse objects generate --out python/fuse_grounding/data/objects
 	$(BIN)/fuse objects preview --pixels 112 --sheets docs/images/objects
-	$(BIN)/fuse episodes generate --split dev --out python/fuse_grounding/data/episodes/dev.json.gz
+	$(BIN)/fuse episodes scenes --sheets docs/images/scenes
+	$(BIN)/fuse episodes generate --split all --out python/fuse_grounding/data/episodes
+	for set in train dev eval large; do $(BIN)/fuse episodes card $$set --out docs/episodes || exit; done
 
 # Retrains the shipped network; needs the `train` extra (torch).
 weights: install

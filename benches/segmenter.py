@@ -40,7 +40,11 @@ def rendered(count: int, seed: int) -> Iterator[Picture]:
 
 
 def from_episodes(limit: int) -> Iterator[Picture]:
-    """The shipped development episodes: six ring nodes of each, pitches of 30° and 45°, any visibility."""
+    """The shipped development episodes: six ring nodes of each, pitches of 30° and 45°, any visibility.
+
+    Things of categories that the network does not know are in the pictures and take no part in the figures.
+    """
+    known = set(_core.recognised_categories())
     views = [(k % 6 + 6 * i, pitch) for k in range(6) for i in range(6) for pitch in (1, 2)]
     done = 0
     for k, episode in enumerate(load_episodes("dev")):
@@ -53,7 +57,7 @@ def from_episodes(limit: int) -> Iterator[Picture]:
             objects = [
                 {"id": i, "category": c, "visible_px": int(pixels[i]), "unoccluded_px": 0}
                 for i, c in episode.categories.items()
-                if pixels[i]
+                if pixels[i] and c in known
             ]
             yield seen.rgb, seen.instance, objects
             done += 1

@@ -22,6 +22,7 @@ from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
+from fuse_grounding.knowledge.vocabulary import nothing_known
 from fuse_grounding.parts import Glance, Parts, Watcher
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
@@ -124,7 +125,7 @@ class Session:
         self.query = parts.understand(query)
         self.hypotheses = parts.knowledge.hypotheses(self.query, parts.segmenter.labels, world)
         self.policy = parts.policy(episode_index)
-        self.spatial = parts.spatial()
+        self.spatial = parts.spatial() if self.hypotheses.candidates else None
         self._patience = evidence.Patience(config.stopping.patience)
         self._seeds: list[Observation] = []
         self.glance: Glance | None = None
@@ -214,7 +215,7 @@ class Session:
             detections = self._parts.segmenter.segment(seen.rgb, self.hypotheses.labels)
         with self.clock("ground"):
             step, view = self._ground(seen, registered, detections)
-        if (reason := self._stop_reason(step)) is not None:
+        if (reason := nothing_known(self.hypotheses) or self._stop_reason(step)) is not None:
             return self._finish(step, reason)
         decision = self.policy.decide(self._situation(view, feasible), self.clock)
         ledger.note(step, decision)

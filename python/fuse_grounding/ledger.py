@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from fuse_grounding.config import Config
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.grounding import Grounded, encode_mask
-from fuse_grounding.knowledge.protocol import Hypotheses, Query
+from fuse_grounding.knowledge.protocol import Candidate, Hypotheses, Query
 from fuse_grounding.parts import Parts
 from fuse_grounding.planning.protocol import Decision
 from fuse_grounding.record import (
@@ -34,13 +34,16 @@ def open_record(config: Config, parts: Parts, query: Query, hypotheses: Hypothes
         because=query.because,
         method=config.method,
         knowledge=hypotheses.source,
-        candidates=[
-            CandidateEntry(label=c.label, score=c.score, reason=c.reason) for c in hypotheses.candidates
-        ],
+        candidates=_entries(hypotheses.candidates),
+        candidates_unknown=_entries(hypotheses.unknown),
         announcements=[*hypotheses.announcements, *parts.announcements],
         config=config.to_dict(),
         provenance=parts.provenance,
     )
+
+
+def _entries(candidates: Sequence[Candidate]) -> list[CandidateEntry]:
+    return [CandidateEntry(label=c.label, score=c.score, reason=c.reason) for c in candidates]
 
 
 def pitch_deg(config: Config, seen: Observation) -> float | None:

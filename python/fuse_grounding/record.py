@@ -191,6 +191,8 @@ class EpisodeRecord(Entry):
     method: str
     knowledge: str
     candidates: list[CandidateEntry]
+    candidates_unknown: list[CandidateEntry] = Field(default_factory=list)
+    """Proposed and left out, because the segmenter does not know these labels."""
     announcements: list[str]
     seed: int | None = None
     scene: str | None = None

@@ -364,3 +364,22 @@ def test_observation_without_pose_is_grounded_but_not_located():
     assert grounded.found
     assert grounded.place is None
     assert any("no pose" in a for a in session.record.announcements)
+
+
+@pytest.mark.parametrize("method", ["explicit", "static", "canonical"])
+def test_a_search_without_a_known_candidate_ends_with_its_reason(method: str, tmp_path: Path):
+    """The labels that could light a drawer are not the segmenter's: no crash, no seed views, no success."""
+    kit, world = Kit(method, lambda node, pitch: 0.9), World()
+    files = RunFolder(prepare(tmp_path / "run", False), "e", "s", 0)
+    grounded = Agent(kit.config, kit.parts).run(world, "light up a dark drawer", watchers=[files])
+    record = grounded.record
+    assert record.result is not None
+    assert record.result.status == "not_found"
+    assert record.result.stop_reason.startswith(
+        "no candidate: the segmenter knows none of the proposed labels ("
+    )
+    assert (record.candidates, len(record.steps), world.acts) == ([], 1, [])
+    assert "flashlight" in [c.label for c in record.candidates_unknown]
+    assert any("left out, because the segmenter does not know it" in note for note in record.announcements)
+    assert kit.registrar.observations == []
+    assert (tmp_path / "run" / "overview.png").is_file()

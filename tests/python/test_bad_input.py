@@ -139,8 +139,16 @@ def test_arrays_of_every_wrong_kind_are_refused(function: str):
         (lambda: step(pose=np.diag([1.0, 1, -1, 1])), "rotation"),
         (lambda: make_episode("cut", seed=1.5), "seed must be a whole number from 0"),  # type: ignore[arg-type]
         (lambda: make_episode(3), "verb must be a str, found int"),  # type: ignore[arg-type]
-        (lambda: make_episode("scrub"), "`scrub` is known, but no episode asks for it yet"),
-        (lambda: make_episode("roll"), "verbs with episodes: cut, scoop, pour"),
+        (lambda: make_episode("fly"), "unknown verb `fly`; known verbs: beat, cut, erase"),
+        (
+            lambda: make_episode("cut", difficulty={"near_mises": 2}),
+            "unknown difficulty `near_mises`; did you mean `near_misses`? known: start_fraction",
+        ),
+        (
+            lambda: make_episode("cut", difficulty={"near_misses": 99}),
+            "difficulty `near_misses` must be 0 to 14, found 99",
+        ),
+        (lambda: make_episode("cut", difficulty={"good_px": "x"}), "difficulty: invalid type: string"),
         (lambda: splat.render("x", CAMERA), "gaussians must be a Gaussians, found str"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), 3), "camera must be a Camera, found int"),  # type: ignore[arg-type]
         (lambda: splat.render(gaussians(), CAMERA, "red"), "background must be three numbers"),  # type: ignore[arg-type]
@@ -191,11 +199,11 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "half.json.gz").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "plain.json.gz").write_text("hello")
     (tmp_path / "other.json.gz").write_bytes(gzip.compress(b'{"a": 1}'))
-    (tmp_path / "none.json.gz").write_bytes(gzip.compress(b'{"schema_version": 1, "episodes": []}'))
+    (tmp_path / "none.json.gz").write_bytes(gzip.compress(b'{"schema_version": 2, "episodes": []}'))
     episodes = json.loads(gzip.decompress(whole))
     episodes["schema_version"] = 7
     (tmp_path / "future.json.gz").write_bytes(gzip.compress(json.dumps(episodes).encode()))
-    episodes["schema_version"] = 1
+    episodes["schema_version"] = 2
     episodes["episodes"][0]["objects"][0]["model_id"] = "teapot_dev_9"
     (tmp_path / "stranger.json.gz").write_bytes(gzip.compress(json.dumps(episodes).encode()))
     (tmp_path / "half.onnx").write_bytes(DEFAULT_PATH.read_bytes()[:20000])
@@ -222,7 +230,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run cut --set map.degree=4 --out o", "`map.degree`: found 4, expected: less than or equal to 3"),
         ("run cut --set map.position_rate=1e300 --out o", "position_rate must be finite and positive"),
         ("run cut --seed 99999999999999999999 --out o", "seed must be a whole number from 0 to"),
-        ("run scrub --out o", "`scrub` is known, but no episode asks for it"),
+        ("episodes generate --split dev --knob near=1 --out o.json.gz", "unknown difficulty `near`"),
+        ("episodes card none.json.gz --out o", "none.json.gz has no episodes"),
         ("run cut --set segmenter.weights=half.onnx --out o", "half.onnx is damaged"),
         (
             "run cut --set segmenter.weights=alone.onnx --out o",
@@ -248,7 +257,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("episodes validate plain.json.gz", "plain.json.gz is not a complete gzip file"),
         ("episodes validate other.json.gz", "other.json.gz is not an episode file: unknown field `a`"),
         ("episodes validate half.json.gz", "half.json.gz is not a complete gzip file"),
-        ("episodes validate future.json.gz", "future.json.gz has schema version 7, expected 1"),
+        ("episodes validate future.json.gz", "future.json.gz has schema version 7, expected 2"),
         (
             "episodes validate stranger.json.gz",
             "stranger.json.gz: episode `dev_0000`: unknown object `teapot_dev_9`",
@@ -267,7 +276,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("episodes show dev --episode dev_0000 --out file", "cannot make folder file"),
         (
             "episodes generate --split nope --out o.json.gz",
-            "unknown split `nope`, expected train",
+            "unknown split `nope`; known: train, dev, eval, large",
         ),
         ("episodes generate --split dev --out o.json", "--out must end in .json.gz"),
         ("episodes generate --split dev --out no/o.json.gz", "the folder of --out does not exist: no"),
@@ -310,7 +319,7 @@ def test_the_command_line_says_it_in_one_sentence(
         ("episodes generate --split dev --count 500 --out out.json.gz", 2.0),  # in native code
     ],
 )
-def test_an_interrupt_is_status_130_and_leaves_nothing(tmp_path: Path, line: str, seconds: float):
+def test_an_interrupt_is_status_130_and_leaves_nothing_half_made(tmp_path: Path, line: str, seconds: float):
     code = "import sys; from fuse_grounding.cli import app; print(flush=True); app.main()"
     child = subprocess.Popen(
         [sys.executable, "-c", code, *line.split()],
@@ -329,7 +338,8 @@ def test_an_interrupt_is_status_130_and_leaves_nothing(tmp_path: Path, line: str
     assert child.returncode == 130, stderr
     assert stderr.startswith("fuse: interrupted; ")
     assert stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    # A set of episodes keeps its finished parts, and nothing that looks like a set.
+    assert [p.name for p in tmp_path.iterdir()] in ([], ["out.json.gz.parts"])
 
 
 def test_a_camera_takes_any_numbers_and_names_what_it_cannot_take():

@@ -98,8 +98,8 @@ def test_arrows_between_crates_run_downward(crate: str, allowed: set[str]):
 
 
 def test_vector_intrinsics_and_unsafe_are_confined():
-    """`unsafe` stands only where a SIMD level is entered, and once where an array's memory is lent."""
-    for crate in ("fuse-camera", "fuse-env", "fuse-py"):
+    """`unsafe` stands only where the SIMD levels are, and once where an array's memory is lent."""
+    for crate in ("fuse-render", "fuse-splat", "fuse-env", "fuse-py"):
         for path in rust_files(crate):
             found = re.findall(r"\bunsafe\s*(?:\{|fn|impl)", path.read_text())
             lent = path == CRATES / "fuse-py/src/array.rs"

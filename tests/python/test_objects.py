@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from fuse_grounding import _core
 from fuse_grounding.cli.app import execute
 from fuse_grounding.cli.objects import SHIPPED
-from fuse_grounding.environment.episodes import EPISODE_VERBS, load_episodes
 from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.judge import PATH as VALIDITY
@@ -200,7 +199,7 @@ def test_missing_and_broken_catalogues_are_named(broken: Path, capsys: pytest.Ca
     path = broken / "catalogue.json"
     whole = path.read_text()
     path.write_text(whole.replace('"category": "book"', '"category": "boat"', 1))
-    assert "catalogue.json is not an object catalogue: unknown variant `boat`" in fails(list_, capsys)
+    assert "object `book_train_0`: unknown category `boat`, neither" in fails(list_, capsys)
     path.write_text(whole.replace("book_train_0.glb", "../book_train_0.glb"))
     assert "must be a path inside the catalogue's folder" in fails(list_, capsys)
     path.write_text(whole[: len(whole) // 2])
@@ -218,8 +217,8 @@ def test_truncated_model_is_named(broken: Path):
 
 def test_validity_judges_every_verb_over_every_category():
     table = json.loads(VALIDITY.read_text(encoding="utf-8"))["verbs"]
-    verbs = [*EPISODE_VERBS, *("erase", "scrub", "pick_hot", "fasten", "strain")]
-    verbs += ["beat", "roll", "illuminate", "serve"]
+    verbs = ["cut", "scoop", "pour", "sip", "stir", "spread", "pound", "write", "wipe", "measure", "tighten"]
+    verbs += ["erase", "scrub", "pick_hot", "fasten", "strain", "beat", "roll", "illuminate", "serve"]
     assert list(table) == verbs
     assert len(verbs) >= 20
     assert set(verbs) == set(shipped().verbs)
@@ -241,10 +240,7 @@ def test_every_category_is_in_the_graph_under_its_label():
         assert things[category].properties
 
 
-def test_episodes_keep_to_what_the_network_recognises():
+def test_the_network_recognises_the_first_categories():
     known = _core.recognised_categories()
     assert known == CATEGORIES[: len(known)]
     assert known == json.loads(DEFAULT_PATH.with_suffix(".json").read_text())["labels"]
-    for episode in load_episodes("dev"):
-        assert set(episode.categories.values()) <= set(known)
-        assert episode.verb in EPISODE_VERBS

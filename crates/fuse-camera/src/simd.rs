@@ -3,7 +3,14 @@
 //! Results are bit-identical for any number of threads at one level; two levels agree within
 //! the kernels' stated tolerances (fused multiply-add rounds once, not twice).
 
+mod lanes;
+mod portable;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
 use std::sync::OnceLock;
+
+pub use lanes::{F32x8, Floats, I32x8, Kernel, WideKernel, dispatch, dispatch_wide, prefetch};
 
 /// A set of vector instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]

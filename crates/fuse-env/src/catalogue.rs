@@ -10,6 +10,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use crate::category::Category;
+use crate::import::Imported;
+use crate::library::CategoryEntry;
 
 /// Which part of the work an object or scene may be used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -94,8 +96,12 @@ pub struct ObjectRecord {
     pub size_m: [f32; 3],
     /// Stable poses, most probable first.
     pub resting: Vec<RestingPose>,
-    /// Seed that generates it, see [`crate::objects::generate`].
-    pub seed: u64,
+    /// Seed that generates it, see [`crate::objects::generate`]; `None` for an imported one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Where an imported one comes from and what was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported: Option<Imported>,
 }
 
 /// Why a catalogue was refused.
@@ -109,9 +115,36 @@ pub enum CatalogueError {
         /// All known ids.
         known: String,
     },
+    /// A name that cannot be a category's.
+    #[error(
+        "a category is named with lower-case letters, digits and `_`, a letter first, 48 characters at most; \
+         found `{0}`"
+    )]
+    CategoryName(String),
+    /// More categories than a process keeps.
+    #[error("more than {0} categories that the shipped set does not have, too many for one process")]
+    TooManyCategories(usize),
     /// An id that is no split.
     #[error("unknown split `{0}`, expected train, dev or eval")]
     UnknownSplit(String),
+    /// The library has an object of that name.
+    #[error("object `{id}` is in {library} already; --replace puts the new one in its place")]
+    Exists {
+        /// The object.
+        id: String,
+        /// The folder.
+        library: String,
+    },
+    /// Two folders have objects of the same name.
+    #[error("object `{id}` is in {first} and in {second}, expected different ids")]
+    Twice {
+        /// The object.
+        id: String,
+        /// A folder.
+        first: String,
+        /// Another, or the same again.
+        second: String,
+    },
     /// A file could not be read or written.
     #[error("cannot access {path}: {source}")]
     Io {
@@ -138,39 +171,45 @@ pub enum CatalogueError {
     },
 }
 
-/// Objects in a folder: `catalogue.json` and the model files that it names.
+/// Objects in one folder or several: each has a `catalogue.json` and the model files that it names.
 #[derive(Clone, Debug)]
 pub struct Catalogue {
-    directory: PathBuf,
+    /// Each folder with the number of records up to its last.
+    folders: Vec<(PathBuf, usize)>,
     records: Vec<ObjectRecord>,
+    categories: Vec<CategoryEntry>,
 }
 
 /// Layout of `catalogue.json`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields, expecting = "an object with `version`, `licence` and `objects`")]
-struct File {
-    version: u32,
-    licence: String,
-    objects: Vec<ObjectRecord>,
+pub(crate) struct File {
+    pub(crate) version: u32,
+    pub(crate) licence: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) categories: Vec<CategoryEntry>,
+    pub(crate) objects: Vec<ObjectRecord>,
 }
 
 /// Format version of `catalogue.json`.
-const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 1;
+/// Name of the file that lists a folder's objects.
+pub(crate) const FILE_NAME: &str = "catalogue.json";
+/// Size of a catalogue's text up to which it is read.
+const LARGEST_BYTES: u64 = 256 << 20;
 
-impl Catalogue {
-    /// Reads `directory/catalogue.json` and checks every record and that every model file is
-    /// there.
-    ///
-    /// # Errors
-    /// [`CatalogueError`] naming the file and what is wrong with it.
-    pub fn load(directory: impl AsRef<Path>) -> Result<Self, CatalogueError> {
-        let directory = directory.as_ref().to_path_buf();
-        let path = directory.join("catalogue.json");
+impl File {
+    /// Reads and checks a folder's list; that the models exist is not looked at.
+    pub(crate) fn read(directory: &Path) -> Result<Self, CatalogueError> {
+        let path = directory.join(FILE_NAME);
         let name = path.display().to_string();
+        let io = |source| CatalogueError::Io { path: name.clone(), source };
         let invalid = |reason: String| CatalogueError::Invalid { path: name.clone(), reason };
-        let text =
-            std::fs::read_to_string(&path).map_err(|source| CatalogueError::Io { path: name.clone(), source })?;
-        let file: File = serde_json::from_str(&text).map_err(|e| invalid(e.to_string()))?;
+        if std::fs::metadata(&path).map_err(io)?.len() > LARGEST_BYTES {
+            return Err(invalid(format!("it has more than {} MiB", LARGEST_BYTES >> 20)));
+        }
+        let text = std::fs::read_to_string(&path).map_err(io)?;
+        let file: Self = serde_json::from_str(&text).map_err(|e| invalid(e.to_string()))?;
         if file.version != VERSION {
             return Err(invalid(format!("version {}, expected {VERSION}", file.version)));
         }
@@ -180,11 +219,67 @@ impl Catalogue {
             if !seen.insert(record.id.as_str()) {
                 return Err(invalid(format!("object `{}` appears twice", record.id)));
             }
-            let model = directory.join(&record.file);
-            std::fs::metadata(&model)
-                .map_err(|source| CatalogueError::Io { path: model.display().to_string(), source })?;
+            let category = record.category;
+            if category.is_own() && !file.categories.iter().any(|c| c.id == category) {
+                return Err(invalid(format!(
+                    "object `{}`: unknown category `{category}`, neither one of the shipped set nor named under \
+                     `categories`",
+                    record.id
+                )));
+            }
         }
-        Ok(Self { directory, records: file.objects })
+        Ok(file)
+    }
+}
+
+impl Catalogue {
+    /// Reads `directory/catalogue.json` and checks every record and that every model file is
+    /// there.
+    ///
+    /// # Errors
+    /// [`CatalogueError`] naming the file and what is wrong with it.
+    pub fn load(directory: impl AsRef<Path>) -> Result<Self, CatalogueError> {
+        Self::load_all(&[directory])
+    }
+
+    /// Several folders as one catalogue, in their order.
+    ///
+    /// # Errors
+    /// As [`Catalogue::load`]; also [`CatalogueError::Twice`] when two folders share an id.
+    pub fn load_all(directories: &[impl AsRef<Path>]) -> Result<Self, CatalogueError> {
+        let mut all = Self { folders: vec![], records: vec![], categories: vec![] };
+        let mut home = std::collections::HashMap::<String, usize>::new();
+        for (i, directory) in directories.iter().enumerate() {
+            let directory = directory.as_ref().to_path_buf();
+            let file = File::read(&directory)?;
+            for record in &file.objects {
+                let model = directory.join(&record.file);
+                std::fs::metadata(&model)
+                    .map_err(|source| CatalogueError::Io { path: model.display().to_string(), source })?;
+                if let Some(first) = home.insert(record.id.clone(), i) {
+                    let name = |i: usize| directories[i].as_ref().display().to_string();
+                    return Err(CatalogueError::Twice { id: record.id.clone(), first: name(first), second: name(i) });
+                }
+            }
+            all.records.extend(file.objects);
+            all.categories.extend(file.categories);
+            all.folders.push((directory, all.records.len()));
+        }
+        Ok(all)
+    }
+
+    /// What the folders say about categories.
+    pub fn categories(&self) -> &[CategoryEntry] {
+        &self.categories
+    }
+
+    /// The category called `id`: one of the shipped set or of this catalogue.
+    ///
+    /// # Errors
+    /// [`CatalogueError::UnknownCategory`].
+    pub fn category(&self, id: &str) -> Result<Category, CatalogueError> {
+        let own = self.categories.iter().map(|c| c.id).find(|c| c.id() == id);
+        own.map_or_else(|| id.parse(), Ok)
     }
 
     /// All records, in file order.
@@ -204,7 +299,9 @@ impl Catalogue {
 
     /// Where a record's model file lies.
     pub fn path(&self, record: &ObjectRecord) -> PathBuf {
-        self.directory.join(&record.file)
+        let at = self.records.iter().position(|r| r.id == record.id).unwrap_or(0);
+        let home = self.folders.iter().find(|(_, end)| at < *end).map_or(Path::new(""), |(folder, _)| folder);
+        home.join(&record.file)
     }
 
     /// Loads a record's model.
@@ -239,20 +336,33 @@ fn check(record: &ObjectRecord) -> Result<(), String> {
     Ok(())
 }
 
+fn no_generator(category: Category) -> CatalogueError {
+    let known = Category::ALL.iter().map(|c| c.id()).collect::<Vec<_>>().join(", ");
+    CatalogueError::UnknownCategory { found: category.id().into(), known }
+}
+
 /// Seed of the shipped catalogue's first instance of every category and split.
 const FIRST_SEED: u64 = 10;
 
 /// The record and the model of one object of the shipped catalogue: instance `index` of a
-/// category and split.
-pub fn make(category: Category, split: Split, index: u64) -> (ObjectRecord, Model) {
+/// category and split; `None` for a category without a generator.
+pub fn make(category: Category, split: Split, index: u64) -> Option<(ObjectRecord, Model)> {
     let seed = FIRST_SEED + index;
-    let model = crate::objects::generate(category, split, seed);
+    let model = crate::objects::generate(category, split, seed)?;
     let (low, high) = model.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
     let id = format!("{category}_{split}_{index}");
     let resting = crate::objects::resting::resting_poses(&model, category.natural_share());
-    let record =
-        ObjectRecord { file: format!("{id}.glb"), id, category, split, size_m: (high - low).to_array(), resting, seed };
-    (record, model)
+    let record = ObjectRecord {
+        file: format!("{id}.glb"),
+        id,
+        category,
+        split,
+        size_m: (high - low).to_array(),
+        resting,
+        seed: Some(seed),
+        imported: None,
+    };
+    Some((record, model))
 }
 
 /// Writes the shipped catalogue, or the categories given, into `directory`: a GLB per object and
@@ -274,14 +384,14 @@ pub fn write(directory: impl AsRef<Path>, categories: &[Category]) -> Result<Vec
     let objects = jobs
         .into_par_iter()
         .map(|(category, split, index)| {
-            let (record, model) = make(category, split, index);
+            let (record, model) = make(category, split, index).ok_or_else(|| no_generator(category))?;
             let path = directory.join(&record.file);
             std::fs::write(&path, fuse_render::to_glb(&model)).map_err(io(&path))?;
             Ok(record)
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let path = directory.join("catalogue.json");
-    let file = File { version: VERSION, licence: "CC0-1.0".into(), objects };
+    let path = directory.join(FILE_NAME);
+    let file = File { version: VERSION, licence: "CC0-1.0".into(), categories: vec![], objects };
     let mut text = serde_json::to_string_pretty(&file)
         .map_err(|e| CatalogueError::Invalid { path: path.display().to_string(), reason: e.to_string() })?;
     text.push('\n');

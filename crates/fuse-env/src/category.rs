@@ -1,9 +1,11 @@
 //! The kinds of things: id, label, how they are put down, which of them the network knows.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::{Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::catalogue::CatalogueError;
 
@@ -11,29 +13,31 @@ macro_rules! categories {
     ($($variant:ident $id:literal $label:literal $share:literal,)*) => {
         /// What a thing is. Its id (`butter_knife`) is the label used by segmenters, knowledge
         /// sources and episodes; [`Category::label`] is for people.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Category {
-            $(#[doc = concat!("A ", $label, ".")] #[serde(rename = $id)] $variant,)*
+            $(#[doc = concat!("A ", $label, ".")] $variant,)*
+            /// One that a user's library adds; see [`Category::named`].
+            Other(OwnId),
         }
 
         impl Category {
-            /// Every category, in catalogue order.
+            /// Every category that has a generator, in catalogue order.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
             /// Identifier in files and commands.
             pub const fn id(self) -> &'static str {
-                match self { $(Self::$variant => $id,)* }
+                match self { $(Self::$variant => $id,)* Self::Other(own) => own.0 }
             }
 
-            /// Name for people.
+            /// Name for people; of a user's category its id.
             pub const fn label(self) -> &'static str {
-                match self { $(Self::$variant => $label,)* }
+                match self { $(Self::$variant => $label,)* Self::Other(own) => own.0 }
             }
 
             /// How often people put it down the way it was made to stand or lie; the rest of
-            /// the time it rests in any other stable pose.
+            /// the time it rests in any other stable pose. Of a user's category: always.
             pub const fn natural_share(self) -> f32 {
-                match self { $(Self::$variant => $share,)* }
+                match self { $(Self::$variant => $share,)* Self::Other(_) => 1.0 }
             }
         }
     };
@@ -91,9 +95,8 @@ categories! {
 const RECOGNISED: usize = 18;
 
 impl Category {
-    /// The categories that the shipped network tells apart, that training pictures show and that
-    /// episodes are made of. A retrained network that knows more raises the count; until then the
-    /// others are in the catalogue alone, so that recorded episodes keep their bytes.
+    /// The categories that the shipped network tells apart and that training pictures show. A
+    /// retrained network that knows more raises the count; episodes are made of all.
     pub fn recognised() -> &'static [Self] {
         &Self::ALL[..RECOGNISED]
     }
@@ -101,6 +104,69 @@ impl Category {
     /// Whether the shipped network tells it apart.
     pub fn is_recognised(self) -> bool {
         Self::recognised().contains(&self)
+    }
+
+    /// Whether a user's library added it: it has no generator.
+    pub const fn is_own(self) -> bool {
+        matches!(self, Self::Other(_))
+    }
+
+    /// The category called `id`, or a new one of that name.
+    ///
+    /// # Errors
+    /// [`CatalogueError::CategoryName`] unless the id is of lower-case letters, digits and `_`,
+    /// begins with a letter and has at most 48 characters; [`CatalogueError::TooManyCategories`].
+    pub fn named(id: &str) -> Result<Self, CatalogueError> {
+        match Self::ALL.iter().copied().find(|c| c.id() == id) {
+            Some(known) => Ok(known),
+            None => OwnId::new(id).map(Self::Other),
+        }
+    }
+}
+
+/// Id of a category that a user's library adds. There is one copy of each in the process, for as
+/// long as it runs, so that categories stay as cheap to pass on as those of the shipped set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OwnId(&'static str);
+
+/// Distinct ids that a process keeps.
+const MOST_OWN: usize = 10_000;
+/// Longest id.
+const LONGEST: usize = 48;
+
+impl OwnId {
+    fn new(id: &str) -> Result<Self, CatalogueError> {
+        static KNOWN: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
+        let sound = id.len() <= LONGEST
+            && id.starts_with(|c: char| c.is_ascii_lowercase())
+            && id.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
+        if !sound {
+            return Err(CatalogueError::CategoryName(id.chars().take(80).collect()));
+        }
+        // A poisoned lock still holds whole entries.
+        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kept) = known.get(id) {
+            return Ok(Self(kept));
+        }
+        if known.len() >= MOST_OWN {
+            return Err(CatalogueError::TooManyCategories(MOST_OWN));
+        }
+        let kept: &'static str = Box::leak(id.into());
+        known.insert(kept);
+        Ok(Self(kept))
+    }
+}
+
+impl Serialize for Category {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.id())
+    }
+}
+
+impl<'de> Deserialize<'de> for Category {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let id = std::borrow::Cow::<'de, str>::deserialize(deserializer)?;
+        Self::named(&id).map_err(serde::de::Error::custom)
     }
 }
 
@@ -110,6 +176,7 @@ impl fmt::Display for Category {
     }
 }
 
+/// One that has a generator; [`Category::named`] takes others too.
 impl FromStr for Category {
     type Err = CatalogueError;
 

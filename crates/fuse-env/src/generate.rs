@@ -1,58 +1,48 @@
 //! Making episodes: a target for a verb, distractors with near misses, a layout, and a start from
 //! which the target is partly hidden although some viewpoint shows it well.
 
+mod choose;
+mod lay;
+mod requests;
+
 use std::collections::BTreeMap;
 
-use glam::Vec2;
-use rand::seq::{IndexedRandom, SliceRandom};
+use fuse_render::Renderer;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::catalogue::{Category, ObjectRecord, Split};
+use crate::catalogue::{Category, Split};
 use crate::configuration::SceneConfiguration;
-use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, Quaternion, START_FRACTION};
-use crate::placement::{self, Item, Placed, Rest, Surface};
+use crate::difficulty::{Difficulty, KnobError};
+use crate::episode::{EPISODE_SCHEMA_VERSION, Episode, EpisodeObject, GOOD_PX};
 use crate::ring::{Ring, Viewpoint};
-use crate::targets::{TargetStatistics, estimate, statistics};
+use crate::targets::{self, Subject, TargetStatistics, good_view, statistics};
 use crate::world::{Stage, WorldError};
 
-/// Layouts that are tried for one episode. The hardest verb, pouring, took at most 32 for 48 seeds over four
-/// scenes; more would only make a hopeless request fail later.
+pub use choose::KIN;
+pub use requests::{Request, requests};
+
+/// Layouts that are tried for one episode; more would only make a hopeless request fail later.
 const ATTEMPTS: u64 = 60;
 /// Layouts after which another valid thing may stand in full view at the start, and two of them are
 /// laid: where all tall things are valid (for pouring), only they can hide one another.
 const STRICT_ATTEMPTS: u64 = 24;
-/// Pixels from which a target counts as seen (the smallest region that may end a search).
-const SEEN_PX: u32 = 500;
-/// Share of what could be seen of the target that some viewpoint must show.
-const WELL_SEEN: f32 = 0.8;
-/// Pixels that the target would have at the start if it stood alone, at least: its hiding must come
-/// from other objects, not from being far away or cut by the picture's edge.
-const START_UNOCCLUDED_PX: u32 = 500;
-/// Chance of a further valid object among the distractors, for each of two.
-const SECOND_TARGET: f64 = 0.3;
+/// Further seeds that a set tries where one has no episode.
+const FURTHER_SEEDS: u64 = 8;
+/// Rows and columns of which one is looked at to see soon that a layout will not do.
+const COARSE: u32 = 4;
+/// By how much shares and pixels that are counted so may differ from the exact ones.
+const SLACK: f32 = 0.08;
 
-/// Reason for throwing a layout away.
-const NOT_HIDDEN: &str = "no view where the target is partly hidden";
+/// Reasons for throwing a layout away.
+const NOT_HIDDEN: &str = "no view that hides the target enough";
+const TOO_SMALL: &str = "the target is too small in every view";
+const NEVER_WELL: &str = "the target is never seen well";
+const NO_EPISODE: &str = "no episode for a seed: another was drawn";
 
 /// Categories valid for each verb.
 pub type Validity = BTreeMap<String, Vec<Category>>;
-
-/// What is asked for.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Request {
-    /// Name of the scene.
-    pub scene: String,
-    /// Verb; must be in the validity table.
-    pub verb: String,
-    /// The query in words.
-    pub query: String,
-    /// Seed.
-    pub seed: u64,
-    /// Identifier that the episode gets.
-    pub episode_id: String,
-}
 
 /// Why layouts were thrown away, and how often.
 pub type Rejections = BTreeMap<&'static str, u32>;
@@ -92,6 +82,9 @@ pub enum GenerateError {
         /// Reasons and counts.
         rejections: Rejections,
     },
+    /// A knob out of its range.
+    #[error(transparent)]
+    Difficulty(#[from] KnobError),
     /// Objects, scenes or renderer.
     #[error(transparent)]
     World(#[from] WorldError),
@@ -110,148 +103,78 @@ fn reasons(rejections: &Rejections) -> String {
     counted.iter().map(|(reason, times)| format!("{reason}: {times}")).collect::<Vec<_>>().join(", ")
 }
 
-/// Looks and handling: things of one family are near misses of each other.
-fn family(category: Category) -> u8 {
-    use Category as C;
-    match category {
-        C::Mug | C::Bowl | C::Pitcher | C::WaterBottle | C::Teapot => 0,
-        C::Sponge | C::Towel | C::Book => 1,
-        _ => 2,
-    }
-}
-
-/// A target and its distractors, the target first; all of recognised categories.
-fn choose<'a>(
-    stage: &'a Stage,
-    scene: &SceneConfiguration,
-    valid: &[Category],
-    strict: bool,
-    rng: &mut ChaCha8Rng,
-) -> Option<Vec<&'a ObjectRecord>> {
-    let mut all: Vec<&ObjectRecord> =
-        stage.catalogue().of(scene.split).filter(|r| r.category.is_recognised()).collect();
-    let mut categories: Vec<Category> = all.iter().map(|r| r.category).filter(|c| valid.contains(c)).collect();
-    categories.dedup();
-    let category = *categories.choose(rng)?;
-    let mine: Vec<&ObjectRecord> = all.iter().copied().filter(|r| r.category == category).collect();
-    let target = *mine.choose(rng)?;
-    all.retain(|r| r.id != target.id);
-    all.shuffle(rng);
-    let [low, high] = scene.clutter.distractors;
-    let wanted = rng.random_range(low..=high) as usize;
-    let mut chosen = vec![target];
-    let mut seconds = (0..2).filter(|_| rng.random_bool(SECOND_TARGET) || !strict).count();
-    let near = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == family(category);
-    let tall = |r: &ObjectRecord| !valid.contains(&r.category) && family(r.category) == 0;
-    for (rule, count) in [(&near as &dyn Fn(&ObjectRecord) -> bool, 3), (&tall, 3), (&|_: &ObjectRecord| true, wanted)]
-    {
-        let mut left = count.min((wanted + 1).saturating_sub(chosen.len()));
-        all.retain(|r| {
-            let second = valid.contains(&r.category);
-            if left == 0 || !rule(r) || (second && seconds == 0) {
-                return true;
-            }
-            left -= 1;
-            seconds -= usize::from(second);
-            chosen.push(*r);
-            false
-        });
-    }
-    Some(chosen)
-}
-
-fn object(instance_id: u32, record: &ObjectRecord, placed: &Placed) -> EpisodeObject {
-    let q = placed.rotation;
-    EpisodeObject {
-        instance_id,
-        model_id: record.id.clone(),
-        category: record.category,
-        translation: placed.translation.to_array(),
-        rotation: Quaternion { w: q.w, x: q.x, y: q.y, z: q.z },
-    }
-}
-
-/// Lays the chosen things out, tall ones right after the target so that they come close to it.
-fn lay(
-    stage: &Stage,
-    scene: &SceneConfiguration,
-    mut records: Vec<&ObjectRecord>,
-    rng: &mut ChaCha8Rng,
-) -> Result<Result<Vec<EpisodeObject>, &'static str>, WorldError> {
-    records[1..].sort_by(|a, b| b.size_m[2].total_cmp(&a.size_m[2]));
-    let models = records.iter().map(|r| stage.model(&r.id)).collect::<Result<Vec<_>, _>>()?;
-    let rests: Vec<Vec<Rest>> = records
-        .iter()
-        .map(|r| r.resting.iter().map(|p| Rest { rotation: p.rotation(), probability: p.probability }).collect())
-        .collect();
-    let items: Vec<Item<'_>> =
-        models.iter().zip(&rests).map(|(model, rests)| Item { model: model.as_ref(), rests }).collect();
-    let mut surface = Surface::of(scene);
-    // The heap is not always in the middle of the table.
-    surface.center += Vec2::from_angle(rng.random_range(0.0..std::f32::consts::TAU)) * surface.extent * 0.15;
-    let Ok(placed) = placement::place(&items, &surface, rng) else { return Ok(Err("no room on the table")) };
-    let mut ids: Vec<u32> = (1..=records.len() as u32).collect();
-    ids.shuffle(rng);
-    let objects = records.iter().zip(&placed).zip(ids).map(|((r, p), id)| object(id, r, p)).collect();
-    Ok(Ok(objects))
+/// A finished episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Made {
+    /// It.
+    pub episode: Episode,
+    /// What the viewpoints see of its valid targets, in their order.
+    pub statistics: Vec<TargetStatistics>,
+    /// Why layouts before it were thrown away.
+    pub rejections: Rejections,
 }
 
 /// Viewpoints from which the target is partly hidden; if `strict`, only those where no other valid
-/// thing stands in full view. `slack` widens the bounds, for estimates.
-fn starts(targets: &[TargetStatistics], strict: bool, slack: f32) -> Vec<Viewpoint> {
+/// thing stands in full view.
+fn starts(targets: &[TargetStatistics], strict: bool, difficulty: &Difficulty) -> Vec<Viewpoint> {
     let Some((target, others)) = targets.split_first() else { return vec![] };
-    let least = START_UNOCCLUDED_PX as f32 * (1.0 - 4.0 * slack);
+    let [low, high] = difficulty.start_fraction;
     let hidden = |v: &Viewpoint| {
-        let fraction = target.fraction(*v);
-        let in_view =
-            |o: &TargetStatistics| o.fraction(*v) > START_FRACTION[1] + slack && o.visible_px[v.index()] >= SEEN_PX;
-        (START_FRACTION[0] - slack..=START_FRACTION[1] + slack).contains(&fraction)
-            && target.unoccluded_px[v.index()] as f32 >= least
+        let in_view = |o: &TargetStatistics| o.fraction(*v) > high && o.visible_px[v.index()] >= GOOD_PX;
+        (low..=high).contains(&target.fraction(*v))
+            && target.unoccluded_px[v.index()] >= difficulty.start_unoccluded_px
+            && good_view(target, *v).is_some_and(|good| good.moves >= difficulty.least_moves)
             && !(strict && others.iter().any(in_view))
     };
     Viewpoint::all().filter(hidden).collect()
 }
 
+/// Looks at the target from every second node, coarsely, to see soon that a layout will not do: first alone, which is
+/// cheap, then in the whole scene from where it is large enough.
+fn screen(whole: &Renderer, ring: &Ring, target: &Subject, difficulty: &Difficulty) -> Option<&'static str> {
+    let views: Vec<Viewpoint> = Viewpoint::all().filter(|v| v.node() % 2 == 0).collect();
+    let alone = targets::count(&target.alone, ring, &views, &[target.id], COARSE);
+    let enough = |px: u32, least: u32| px as f32 >= least as f32 * (1.0 - 4.0 * SLACK);
+    let least = difficulty.start_unoccluded_px.min(difficulty.good_px);
+    let large: Vec<(Viewpoint, u32)> =
+        views.into_iter().zip(alone.iter().map(|c| c[0])).filter(|(_, px)| enough(*px, least)).collect();
+    if !large.iter().any(|(_, px)| enough(*px, difficulty.good_px)) {
+        return Some(TOO_SMALL);
+    }
+    let views: Vec<Viewpoint> = large.iter().map(|(v, _)| *v).collect();
+    let seen = targets::count(whole, ring, &views, &[target.id], COARSE);
+    let (mut hidden, mut well) = (false, false);
+    for ((_, alone), seen) in large.iter().zip(&seen) {
+        let fraction = seen[0] as f32 / (*alone).max(1) as f32;
+        let [low, high] = difficulty.start_fraction;
+        hidden |= (low - SLACK..=high + SLACK).contains(&fraction) && enough(*alone, difficulty.start_unoccluded_px);
+        well |= fraction >= difficulty.good_fraction - SLACK && enough(seen[0], difficulty.good_px);
+    }
+    if !hidden {
+        return Some(NOT_HIDDEN);
+    }
+    (!well).then_some(NEVER_WELL)
+}
+
 /// Makes the episode of a request, and counts why layouts before it were thrown away. The same
-/// request gives the same episode.
-pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<(Episode, Rejections), GenerateError> {
+/// request and difficulty give the same episode.
+pub fn episode(
+    stage: &Stage,
+    validity: &Validity,
+    request: &Request,
+    difficulty: &Difficulty,
+) -> Result<Made, GenerateError> {
+    difficulty.check()?;
     let scene = stage.scene(&request.scene)?;
-    let valid = validity.get(&request.verb).ok_or_else(|| GenerateError::Verb {
-        found: request.verb.clone(),
-        known: validity.keys().cloned().collect(),
-    })?;
-    let ring = Ring::of(scene);
+    if !validity.contains_key(&request.verb) {
+        let known = validity.keys().cloned().collect();
+        return Err(GenerateError::Verb { found: request.verb.clone(), known });
+    }
     let mut rejections = Rejections::new();
     for attempt in 0..ATTEMPTS {
-        let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
-        rng.set_stream(attempt);
-        let strict = attempt < STRICT_ATTEMPTS;
-        let records = choose(stage, scene, valid, strict, &mut rng)
-            .ok_or_else(|| GenerateError::NoTarget { verb: request.verb.clone(), split: scene.split })?;
-        let mut reject = |reason| *rejections.entry(reason).or_insert(0) += 1;
-        let objects = match lay(stage, scene, records, &mut rng)? {
-            Ok(objects) => objects,
-            Err(reason) => {
-                reject(reason);
-                continue;
-            }
-        };
-        let renderer = stage.renderer(scene, &objects, false)?;
-        let middles = stage.middles(&objects)?;
-        let asked: Vec<_> =
-            objects.iter().zip(middles).filter(|(o, _)| valid.contains(&o.category)).map(|p| p.1).collect();
-        if starts(&estimate(&renderer, &ring, &asked), strict, 0.08).is_empty() {
-            reject(NOT_HIDDEN);
-            continue;
-        }
-        let targets = statistics(&renderer, &ring, &asked);
-        if !targets[0].well_seen(SEEN_PX, WELL_SEEN) {
-            reject("the target is never seen well");
-            continue;
-        }
-        match starts(&targets, strict, 0.0).choose(&mut rng) {
-            Some(start) => return Ok((assemble(request, scene, objects, targets, *start), rejections)),
-            None => reject(NOT_HIDDEN),
+        match layout(stage, scene, validity, request, difficulty, attempt)? {
+            Ok((episode, statistics)) => return Ok(Made { episode, statistics, rejections }),
+            Err(reason) => *rejections.entry(reason).or_insert(0) += 1,
         }
     }
     Err(GenerateError::Exhausted {
@@ -262,14 +185,53 @@ pub fn episode(stage: &Stage, validity: &Validity, request: &Request) -> Result<
     })
 }
 
+/// One layout: the episode on it, or why it is thrown away.
+fn layout(
+    stage: &Stage,
+    scene: &SceneConfiguration,
+    validity: &Validity,
+    request: &Request,
+    difficulty: &Difficulty,
+    attempt: u64,
+) -> Result<Result<(Episode, Vec<TargetStatistics>), &'static str>, GenerateError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+    rng.set_stream(attempt);
+    let strict = attempt < STRICT_ATTEMPTS;
+    let records = choose::choose(stage, scene, validity, &request.verb, difficulty, strict, &mut rng)
+        .ok_or_else(|| GenerateError::NoTarget { verb: request.verb.clone(), split: scene.split })?;
+    let objects = match lay::lay(stage, scene, records, &mut rng)? {
+        Ok(objects) => objects,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let valid = validity.get(&request.verb).map_or(&[][..], Vec::as_slice);
+    let asked: Vec<&EpisodeObject> = objects.iter().filter(|o| valid.contains(&o.category)).collect();
+    let subjects = stage.subjects(scene, &asked)?;
+    let (whole, ring) = (stage.renderer(scene, &objects, false)?, Ring::of(scene));
+    if let Some(reason) = subjects.first().and_then(|target| screen(&whole, &ring, target, difficulty)) {
+        return Ok(Err(reason));
+    }
+    let statistics = statistics(&whole, &ring, &subjects);
+    let well = |v| statistics[0].well_seen(v, difficulty.good_px, difficulty.good_fraction);
+    if !Viewpoint::all().any(well) {
+        return Ok(Err(NEVER_WELL));
+    }
+    let starts = starts(&statistics, strict, difficulty);
+    // A share is drawn first, because views that hide little are far more frequent than those that hide much.
+    let wanted = rng.random_range(difficulty.start_fraction[0]..difficulty.start_fraction[1]);
+    let off = |v: &Viewpoint| (statistics[0].fraction(*v) - wanted).abs();
+    let Some(start) = starts.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else { return Ok(Err(NOT_HIDDEN)) };
+    Ok(assemble(request, scene, objects, &statistics, start).map(|episode| (episode, statistics)).ok_or(NEVER_WELL))
+}
+
 fn assemble(
     request: &Request,
     scene: &SceneConfiguration,
     mut objects: Vec<EpisodeObject>,
-    statistics: Vec<TargetStatistics>,
+    statistics: &[TargetStatistics],
     start: Viewpoint,
-) -> Episode {
-    let target = objects[0].instance_id;
+) -> Option<Episode> {
+    let target = objects.first()?.instance_id;
+    let good = good_view(statistics.first()?, start)?;
     let valid_target_ids: Vec<u32> = statistics.iter().map(|s| s.instance_id).collect();
     let distractor_ids = objects[1..].iter().map(|o| o.instance_id).collect();
     let mut labels: Vec<String> = vec![];
@@ -279,7 +241,7 @@ fn assemble(
         }
     }
     objects.sort_by_key(|o| o.instance_id);
-    Episode {
+    Some(Episode {
         schema_version: EPISODE_SCHEMA_VERSION,
         episode_id: request.episode_id.clone(),
         scene_id: scene.name.clone(),
@@ -294,52 +256,56 @@ fn assemble(
         candidate_sets: BTreeMap::from([("oracle".to_owned(), labels)]),
         start_node: start.node(),
         start_pitch: start.pitch(),
-        statistics,
-    }
-}
-
-/// The requests of a set: `count` episodes over the split's scenes in turn, verbs evenly in an order
-/// drawn from `seed`. `queries` lists for each verb the words that it is asked with.
-pub fn requests(
-    scenes: &[SceneConfiguration],
-    split: Split,
-    queries: &BTreeMap<String, Vec<String>>,
-    count: usize,
-    seed: u64,
-) -> Vec<Request> {
-    let scenes: Vec<_> = scenes.iter().filter(|s| s.split == split && !s.weak_texture).collect();
-    let verbs: Vec<(&String, &Vec<String>)> = queries.iter().filter(|(_, words)| !words.is_empty()).collect();
-    if scenes.is_empty() || verbs.is_empty() {
-        return vec![];
-    }
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut order = vec![];
-    (0..count)
-        .map(|i| {
-            if order.is_empty() {
-                order = (0..verbs.len()).collect();
-                order.shuffle(&mut rng);
-            }
-            let (verb, words) = verbs[order.pop().unwrap_or(0)];
-            Request {
-                scene: scenes[i % scenes.len()].name.clone(),
-                verb: verb.clone(),
-                query: words[rng.random_range(0..words.len())].clone(),
-                // 53 bits survive readers that keep JSON numbers as doubles.
-                seed: rng.random::<u64>() >> 11,
-                episode_id: format!("{split}_{i:04}"),
-            }
-        })
-        .collect()
+        start_px: statistics[0].visible_px[start.index()],
+        start_fraction: statistics[0].fraction(start),
+        best_node: good.best.node(),
+        best_pitch: good.best.pitch(),
+        best_px: statistics[0].visible_px[good.best.index()],
+        best_fraction: statistics[0].fraction(good.best),
+        moves_to_good_view: good.moves,
+    })
 }
 
 /// Makes all requested episodes, in their order, in parallel; the result does not depend on threads.
+/// Where a seed has no episode, the next is drawn from it.
 pub fn episodes(
     stage: &Stage,
     validity: &Validity,
     requests: &[Request],
-) -> Result<Vec<(Episode, Rejections)>, GenerateError> {
-    requests.par_iter().map(|r| episode(stage, validity, r)).collect()
+    difficulty: &Difficulty,
+) -> Result<Vec<Made>, GenerateError> {
+    requests.par_iter().map(|r| persistent(stage, validity, r, difficulty)).collect()
+}
+
+fn persistent(
+    stage: &Stage,
+    validity: &Validity,
+    request: &Request,
+    difficulty: &Difficulty,
+) -> Result<Made, GenerateError> {
+    let (mut request, mut before) = (request.clone(), Rejections::new());
+    let mut left = FURTHER_SEEDS;
+    loop {
+        match episode(stage, validity, &request, difficulty) {
+            Ok(mut made) => {
+                add(&mut made.rejections, &before);
+                return Ok(made);
+            }
+            Err(GenerateError::Exhausted { rejections, .. }) if left > 0 => {
+                left -= 1;
+                add(&mut before, &rejections);
+                *before.entry(NO_EPISODE).or_insert(0) += 1;
+                request.seed = ChaCha8Rng::seed_from_u64(request.seed).random::<u64>() >> 11;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn add(total: &mut Rejections, more: &Rejections) {
+    for (reason, times) in more {
+        *total.entry(reason).or_insert(0) += times;
+    }
 }
 
 #[cfg(test)]

@@ -4,8 +4,11 @@
 pub mod catalogue;
 pub mod category;
 pub mod configuration;
+pub mod difficulty;
 pub mod episode;
 pub mod generate;
+pub mod import;
+pub mod library;
 pub mod metrics;
 pub mod objects;
 pub mod placement;

@@ -13,6 +13,7 @@ pub mod finish;
 mod handtools;
 pub mod hull;
 mod kitchen;
+pub mod measure;
 mod office;
 mod pantry;
 mod parts;
@@ -73,8 +74,9 @@ impl Workshop {
     }
 }
 
-/// The model of one instance: a function of category, split and seed alone.
-pub fn generate(category: Category, split: Split, seed: u64) -> Model {
+/// The model of one instance: a function of category, split and seed alone; `None` for a category
+/// of a user's library, which has no generator.
+pub fn generate(category: Category, split: Split, seed: u64) -> Option<Model> {
     let mut workshop = Workshop { category, dice: Dice::new(category, split, seed), model: Model::default() };
     let make = match category {
         Category::Knife => cutlery::knife,
@@ -122,7 +124,8 @@ pub fn generate(category: Category, split: Split, seed: u64) -> Model {
         Category::Flashlight => handtools::flashlight,
         Category::Candle => pantry::candle,
         Category::Can => pantry::can,
+        Category::Other(_) => return None,
     };
     make(&mut workshop);
-    workshop.model
+    Some(workshop.model)
 }

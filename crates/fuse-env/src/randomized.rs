@@ -157,13 +157,13 @@ fn random_things(rng: &mut ChaCha8Rng, split: Split) -> Vec<Thing> {
     }
     categories
         .into_iter()
-        .map(|category| {
-            let model = objects::generate(category, split, rng.random::<u64>() >> 16);
+        .filter_map(|category| {
+            let model = objects::generate(category, split, rng.random::<u64>() >> 16)?;
             let rests = objects::resting::resting_poses(&model, category.natural_share())
                 .iter()
                 .map(|pose| Rest { rotation: pose.rotation(), probability: pose.probability })
                 .collect();
-            Thing { category, model: Arc::new(model), rests }
+            Some(Thing { category, model: Arc::new(model), rests })
         })
         .collect()
 }

@@ -106,6 +106,23 @@ impl Viewpoint {
         std::array::from_fn(|i| Action::from_index(i).and_then(|a| self.after(a)).is_some())
     }
 
+    /// Fewest actions from here to each viewpoint, by [`Viewpoint::index`]: a breadth-first search over
+    /// the 15 actions.
+    pub fn moves_to_all(self) -> [u32; VIEWPOINTS] {
+        let mut moves = [u32::MAX; VIEWPOINTS];
+        moves[self.index()] = 0;
+        let mut queue = std::collections::VecDeque::from([self]);
+        while let Some(here) = queue.pop_front() {
+            for next in (0..ACTION_COUNT).filter_map(Action::from_index).filter_map(|a| here.after(a)) {
+                if moves[next.index()] == u32::MAX {
+                    moves[next.index()] = moves[here.index()] + 1;
+                    queue.push_back(next);
+                }
+            }
+        }
+        moves
+    }
+
     /// The four viewpoints whose pictures start the map when the episode begins here.
     pub fn seeds(self) -> [Self; 4] {
         SEED_OFFSETS.map(|d| Self { node: (self.node as i32 + d).rem_euclid(NODES as i32) as u32, pitch: SEED_PITCH })
@@ -212,6 +229,17 @@ mod tests {
         assert_eq!(Viewpoint::new(0, 1).unwrap().action_mask(), [true; 15]);
         assert_eq!(Viewpoint::new(1, 0).unwrap().seeds().map(Viewpoint::node), [35, 0, 2, 3]);
         assert!(Viewpoint::new(36, 0).is_err() && Viewpoint::new(0, 3).is_err());
+    }
+
+    /// Two nodes and one pitch a move: the longer of the two ways decides.
+    #[test]
+    fn the_fewest_moves_are_those_of_the_longer_way() {
+        let here = Viewpoint::new(1, 0).unwrap();
+        let moves = here.moves_to_all();
+        for v in Viewpoint::all() {
+            let apart = v.node().abs_diff(1).min(36 - v.node().abs_diff(1));
+            assert_eq!(moves[v.index()], apart.div_ceil(2).max(v.pitch()), "{v:?}");
+        }
     }
 
     #[test]

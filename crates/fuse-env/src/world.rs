@@ -14,6 +14,7 @@ use crate::configuration::{self, ConfigurationError, Lighting, SceneConfiguratio
 use crate::episode::{Episode, EpisodeError, EpisodeObject};
 use crate::ring::{Ring, Viewpoint};
 use crate::room;
+use crate::targets::{self, Subject, TargetStatistics};
 
 /// Linear radiance behind everything (through the missing ceiling).
 const BACKGROUND: Vec3 = Vec3::new(0.62, 0.63, 0.65);
@@ -58,7 +59,12 @@ pub struct Stage {
 impl Stage {
     /// From the folder of objects and the scenes file.
     pub fn load(objects: &Path, scenes: &Path) -> Result<Self, WorldError> {
-        Ok(Self::new(Catalogue::load(objects)?, configuration::load(scenes)?))
+        Self::load_with(&[objects], scenes)
+    }
+
+    /// From several folders of objects, such as the shipped one and a user's, and the scenes file.
+    pub fn load_with(objects: &[impl AsRef<Path>], scenes: &Path) -> Result<Self, WorldError> {
+        Ok(Self::new(Catalogue::load_all(objects)?, configuration::load(scenes)?))
     }
 
     /// From what is loaded already.
@@ -137,19 +143,41 @@ impl Stage {
         Ok((scene_3d, RenderOptions { shadows: painted, ambient_occlusion: painted, ..RenderOptions::default() }))
     }
 
-    /// Instance ids with the middle of each object's bounding box in the world, metres.
-    pub fn middles(&self, objects: &[EpisodeObject]) -> Result<Vec<(u32, Point3<f64>)>, WorldError> {
+    /// Objects whose views are to be counted: each alone, without the room.
+    pub fn subjects(&self, scene: &SceneConfiguration, objects: &[&EpisodeObject]) -> Result<Vec<Subject>, WorldError> {
+        let options = RenderOptions { shadows: false, ambient_occlusion: false, ..RenderOptions::default() };
         objects
             .iter()
             .map(|object| {
-                let (model, transform) = (self.model(&object.model_id)?, object.transform());
-                let points = model.meshes.iter().flat_map(|m| &m.positions).map(|p| transform.transform_point3(*p));
-                let (low, high) =
-                    points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
-                let m = (low + high).as_dvec3() / 2.0;
-                Ok((object.instance_id, Point3::new(m.x, m.y, m.z)))
+                let instance = Instance {
+                    model: self.model(&object.model_id)?,
+                    transform: object.transform(),
+                    id: object.instance_id,
+                };
+                let alone = Scene { instances: vec![instance], light: light(&scene.light), background: BACKGROUND };
+                let alone = Renderer::new(alone, &options)
+                    .map_err(|source| WorldError::Scene { scene: scene.name.clone(), source })?;
+                Ok(Subject { id: object.instance_id, middle: self.middle(object)?, alone })
             })
             .collect()
+    }
+
+    /// What the viewpoints see of an episode's valid targets, counted anew.
+    pub fn statistics(&self, episode: &Episode) -> Result<Vec<TargetStatistics>, WorldError> {
+        let scene = self.scene(&episode.scene_id)?;
+        let whole = self.renderer(scene, &episode.objects, false)?;
+        let targets: Vec<&EpisodeObject> =
+            episode.valid_target_ids.iter().filter_map(|id| episode.object(*id)).collect();
+        Ok(targets::statistics(&whole, &Ring::of(scene), &self.subjects(scene, &targets)?))
+    }
+
+    /// Middle of an object's bounding box in the world, metres.
+    fn middle(&self, object: &EpisodeObject) -> Result<Point3<f64>, WorldError> {
+        let (model, transform) = (self.model(&object.model_id)?, object.transform());
+        let points = model.meshes.iter().flat_map(|m| &m.positions).map(|p| transform.transform_point3(*p));
+        let (low, high) = points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        let m = (low + high).as_dvec3() / 2.0;
+        Ok(Point3::new(m.x, m.y, m.z))
     }
 }
 

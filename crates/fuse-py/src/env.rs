@@ -5,9 +5,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use fuse_env::catalogue::{Category, Split};
-use fuse_env::episode::{self, Episode};
+use fuse_env::difficulty::Difficulty;
+use fuse_env::episode::{self, Episode, EpisodeSet, Witness};
 use fuse_env::generate::{self, Request, Validity};
 use fuse_env::ring::Viewpoint;
+use fuse_env::targets::TargetStatistics;
 use fuse_env::world;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -19,30 +21,44 @@ use crate::error::input;
 use crate::render::take;
 
 type Picture<'py> = (Bound<'py, PyArray3<u8>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
-/// Episodes as JSON with the reasons and counts of the layouts thrown away before each.
-type Made = Vec<(String, BTreeMap<&'static str, u32>)>;
+/// An episode and its targets' statistics, as JSON, and how many layouts were thrown away before it, by reason.
+type Made = (String, String, BTreeMap<&'static str, u32>);
+/// Scene, verb, query, seed and id of an episode to be made.
+type Asked = (String, String, String, u64, String);
 
 fn viewpoint(node: u32, pitch_index: u32) -> PyResult<Viewpoint> {
     Viewpoint::new(node, pitch_index).map_err(|e| input(e.to_string()))
 }
 
-fn categories(table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
-    let parse = |names: Vec<String>| names.iter().map(|n| n.parse::<Category>()).collect::<Result<Vec<_>, _>>();
+/// A validity table over the shipped categories and those of the stage's libraries.
+fn categories(stage: &world::Stage, table: BTreeMap<String, Vec<String>>) -> PyResult<Validity> {
+    let parse =
+        |names: Vec<String>| names.iter().map(|n| stage.catalogue().category(n)).collect::<Result<Vec<Category>, _>>();
     let rows = table.into_iter().map(|(verb, names)| Ok((verb, parse(names)?)));
     rows.collect::<Result<_, fuse_env::catalogue::CatalogueError>>().map_err(|e| input(e.to_string()))
 }
 
-fn to_json(episode: &Episode) -> PyResult<String> {
-    serde_json::to_string(episode).map_err(|e| input(format!("episode `{}`: {e}", episode.episode_id)))
+fn to_json(value: &impl serde::Serialize) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| input(e.to_string()))
 }
 
-fn told(made: Vec<(Episode, generate::Rejections)>) -> PyResult<Made> {
-    made.into_iter().map(|(e, rejections)| Ok((to_json(&e)?, rejections))).collect()
+fn from_json<T: for<'de> serde::Deserialize<'de>>(what: &str, text: &str) -> PyResult<T> {
+    serde_json::from_str(text).map_err(|e| input(format!("{what}: {e}")))
+}
+
+fn told(made: generate::Made) -> PyResult<Made> {
+    Ok((to_json(&made.episode)?, to_json(&made.statistics)?, made.rejections))
+}
+
+fn request((scene, verb, query, seed, episode_id): Asked) -> Request {
+    Request { scene, verb, query, seed, episode_id }
 }
 
 /// Objects and scenes, each loaded or painted once and shared by all worlds.
 ///
-/// Stage(objects_directory, scenes_path)
+/// Stage(objects_directory, scenes_path, libraries=())
+///
+/// `libraries`: further folders of objects, such as `fuse objects import` makes.
 ///
 /// Raises InputError that names the file when something is missing or not what it should be.
 #[pyclass(frozen, module = "fuse_grounding")]
@@ -53,9 +69,30 @@ pub struct Stage {
 #[pymethods]
 impl Stage {
     #[new]
-    fn new(py: Python<'_>, objects_directory: PathBuf, scenes_path: PathBuf) -> PyResult<Self> {
-        let inner = enter(py, || world::Stage::load(&objects_directory, &scenes_path))?;
+    #[pyo3(signature = (objects_directory, scenes_path, libraries=vec![]))]
+    fn new(
+        py: Python<'_>,
+        objects_directory: PathBuf,
+        scenes_path: PathBuf,
+        libraries: Vec<PathBuf>,
+    ) -> PyResult<Self> {
+        let folders: Vec<PathBuf> = std::iter::once(objects_directory).chain(libraries).collect();
+        let inner = enter(py, || world::Stage::load_with(&folders, &scenes_path))?;
         Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// What the libraries state: verb -> categories valid for it, to be put into a validity table.
+    fn stated(&self) -> BTreeMap<String, Vec<&'static str>> {
+        let mut table: BTreeMap<String, Vec<&'static str>> = BTreeMap::new();
+        for entry in self.inner.catalogue().categories() {
+            for verb in entry.valid_for.keys() {
+                let row = table.entry(verb.clone()).or_default();
+                if !row.contains(&entry.id.id()) {
+                    row.push(entry.id.id());
+                }
+            }
+        }
+        table
     }
 
     /// Names of the scenes, with split, whether the table is weakly textured, and a description.
@@ -64,52 +101,82 @@ impl Stage {
         rows.map(|s| (s.name.clone(), s.split.id(), s.weak_texture, s.description.clone())).collect()
     }
 
-    /// Makes the episode of a verb in a scene; the same arguments give the same episode. `validity`
-    /// lists the valid categories of each verb. Returns JSON and, by reason, how many layouts were
-    /// thrown away before it.
-    #[pyo3(signature = (validity, scene, verb, query, seed, episode_id))]
-    #[allow(clippy::too_many_arguments)]
-    fn make_episode(
+    /// What a set of `count` episodes asks for: scene, verb, query, seed and id of each. `queries` lists for each verb
+    /// the words that it is asked with; scenes and verbs come evenly.
+    fn plan_episodes(
         &self,
-        py: Python<'_>,
-        validity: BTreeMap<String, Vec<String>>,
-        scene: String,
-        verb: String,
-        query: String,
-        seed: u64,
-        episode_id: String,
-    ) -> PyResult<(String, BTreeMap<&'static str, u32>)> {
-        let validity = categories(validity)?;
-        let request = Request { scene, verb, query, seed, episode_id };
-        let (episode, rejections) = enter(py, || generate::episode(&self.inner, &validity, &request))?;
-        Ok((to_json(&episode)?, rejections))
-    }
-
-    /// Makes a set of `count` episodes over the scenes of a split. `queries` lists for each verb the
-    /// words that it is asked with. Returns what `make_episode` returns, for each.
-    fn make_episodes(
-        &self,
-        py: Python<'_>,
-        validity: BTreeMap<String, Vec<String>>,
-        queries: BTreeMap<String, Vec<String>>,
+        set: &str,
         split: &str,
+        queries: BTreeMap<String, Vec<String>>,
         count: usize,
         seed: u64,
-    ) -> PyResult<Made> {
+    ) -> PyResult<Vec<Asked>> {
         let split: Split = split.parse().map_err(|e: fuse_env::catalogue::CatalogueError| input(e.to_string()))?;
-        let validity = categories(validity)?;
-        let requests = generate::requests(self.inner.scenes(), split, &queries, count, seed);
+        let requests = generate::requests(self.inner.scenes(), set, split, &queries, count, seed);
         if requests.len() < count {
             return Err(input(format!(
                 "no episodes can be made for split {split}: it has no scene, or no verb is given"
             )));
         }
-        told(enter(py, || generate::episodes(&self.inner, &validity, &requests))?)
+        Ok(requests.into_iter().map(|r| (r.scene, r.verb, r.query, r.seed, r.episode_id)).collect())
     }
 
-    /// Checks an episode (JSON) against the objects and scenes. Raises InputError.
-    fn validate(&self, py: Python<'_>, episode_json: &str) -> PyResult<()> {
-        enter(py, || Episode::from_json(episode_json)?.validate(self.inner.catalogue(), self.inner.scenes()))
+    /// Makes the episode of a request, without another seed; the same arguments give the same episode. `validity` lists
+    /// the valid categories of each verb; `difficulty` is JSON, see `default_difficulty`. Returns the episode and its
+    /// targets' statistics, both JSON, and by reason how many layouts were thrown away before it.
+    fn make_episode(
+        &self,
+        py: Python<'_>,
+        validity: BTreeMap<String, Vec<String>>,
+        asked: Asked,
+        difficulty: &str,
+    ) -> PyResult<Made> {
+        let (validity, asked) = (categories(&self.inner, validity)?, request(asked));
+        let difficulty: Difficulty = from_json("difficulty", difficulty)?;
+        told(enter(py, || generate::episode(&self.inner, &validity, &asked, &difficulty))?)
+    }
+
+    /// As `make_episode`, for several, in their order, on `threads` threads (default: all); where a seed has no
+    /// episode, the next is drawn from it. The result does not depend on threads.
+    #[pyo3(signature = (validity, asked, difficulty, threads=None))]
+    fn make_episodes(
+        &self,
+        py: Python<'_>,
+        validity: BTreeMap<String, Vec<String>>,
+        asked: Vec<Asked>,
+        difficulty: &str,
+        threads: Option<usize>,
+    ) -> PyResult<Vec<Made>> {
+        let validity = categories(&self.inner, validity)?;
+        let requests: Vec<Request> = asked.into_iter().map(request).collect();
+        let difficulty: Difficulty = from_json("difficulty", difficulty)?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
+        let pool = pool.map_err(|e| input(format!("cannot start {threads:?} threads: {e}")))?;
+        let make = || pool.install(|| generate::episodes(&self.inner, &validity, &requests, &difficulty));
+        enter(py, make)?.into_iter().map(told).collect()
+    }
+
+    /// Checks an episode (JSON) against the objects and scenes, and against its targets' statistics (JSON) where they
+    /// are given. Raises InputError.
+    #[pyo3(signature = (episode_json, statistics_json=None))]
+    fn validate(&self, py: Python<'_>, episode_json: &str, statistics_json: Option<&str>) -> PyResult<()> {
+        let statistics: Option<Vec<TargetStatistics>> =
+            statistics_json.map(|text| from_json("statistics", text)).transpose()?;
+        enter(py, || {
+            let episode = Episode::from_json(episode_json)?;
+            episode.validate(self.inner.catalogue(), self.inner.scenes())?;
+            statistics.map_or(Ok(()), |s| episode.check_statistics(&s))
+        })
+    }
+
+    /// What the 108 viewpoints see of an episode's valid targets, counted by rendering: JSON, in their order.
+    fn statistics(&self, py: Python<'_>, episode_json: &str) -> PyResult<String> {
+        let counted = enter(py, || {
+            let episode = Episode::from_json(episode_json)?;
+            episode.validate(self.inner.catalogue(), self.inner.scenes())?;
+            self.inner.statistics(&episode)
+        })?;
+        to_json(&counted)
     }
 }
 
@@ -188,19 +255,73 @@ fn seed_viewpoints(node: u32, pitch_index: u32) -> PyResult<Vec<(u32, u32)>> {
     Ok(viewpoint(node, pitch_index)?.seeds().iter().map(|v| (v.node(), v.pitch())).collect())
 }
 
-/// Episodes of a `.json.gz` file, each as JSON; form and version are checked.
+/// The knobs of difficulty with their defaults, JSON.
 #[pyfunction]
-fn read_episodes(py: Python<'_>, path: PathBuf) -> PyResult<Vec<String>> {
-    enter(py, || episode::read(&path))?.iter().map(to_json).collect()
+fn default_difficulty() -> PyResult<String> {
+    to_json(&Difficulty::default())
 }
 
-/// Writes episodes (JSON each) to a `.json.gz` file, whole or not at all.
+/// Groups of categories that look or are handled alike: those of a group are near misses of each other.
 #[pyfunction]
-fn write_episodes(py: Python<'_>, path: PathBuf, episodes: Vec<String>) -> PyResult<()> {
+fn kin_categories() -> Vec<Vec<&'static str>> {
+    generate::KIN.iter().map(|group| group.iter().map(|c| c.id()).collect()).collect()
+}
+
+/// Fewest actions from a viewpoint to each of the 108, by `3 node + pitch index`.
+#[pyfunction]
+fn moves_to_all(node: u32, pitch_index: u32) -> PyResult<Vec<u32>> {
+    Ok(viewpoint(node, pitch_index)?.moves_to_all().to_vec())
+}
+
+/// Episodes of a `.json.gz` file, each as JSON, and how the set was generated (JSON; `null` where it was not); form and
+/// version are checked.
+#[pyfunction]
+fn read_episodes(py: Python<'_>, path: PathBuf) -> PyResult<(Vec<String>, String)> {
+    let set = enter(py, || episode::read(&path))?;
+    let texts = set.episodes.iter().map(to_json).collect::<PyResult<_>>()?;
+    Ok((texts, to_json(&set.generation)?))
+}
+
+/// Writes episodes (JSON each) to a `.json.gz` file, whole or not at all. `generation` as `read_episodes` returns it.
+#[pyfunction]
+#[pyo3(signature = (path, episodes, generation="null"))]
+fn write_episodes(py: Python<'_>, path: PathBuf, episodes: Vec<String>, generation: &str) -> PyResult<()> {
+    let generation = from_json("generation", generation)?;
     enter(py, || {
-        let parsed = episodes.iter().map(|e| Episode::from_json(e)).collect::<Result<Vec<_>, _>>()?;
-        episode::write(&path, &parsed)
+        let episodes = episodes.iter().map(|e| Episode::from_json(e)).collect::<Result<Vec<_>, _>>()?;
+        let set = EpisodeSet { schema_version: episode::EPISODE_SCHEMA_VERSION, generation, episodes };
+        episode::write(&path, &set)
     })
+}
+
+/// Where the statistics of an episode file lie: beside it.
+#[pyfunction]
+fn statistics_path(episodes: PathBuf) -> PathBuf {
+    episode::statistics_path(&episodes)
+}
+
+/// Statistics (JSON) of each episode of a file, in its order. Raises InputError for those of another file.
+#[pyfunction]
+fn read_statistics(py: Python<'_>, path: PathBuf, episodes: PathBuf) -> PyResult<Vec<String>> {
+    let read = enter(py, || episode::read_statistics(&path, &episodes))?;
+    read.iter().map(|w| to_json(&w.targets)).collect()
+}
+
+/// Writes the statistics of an episode file that is already there, whole or not at all: id and statistics (JSON) of
+/// each episode, in the file's order.
+#[pyfunction]
+fn write_statistics(
+    py: Python<'_>,
+    path: PathBuf,
+    episodes: PathBuf,
+    statistics: Vec<(String, String)>,
+) -> PyResult<()> {
+    let parse = |(episode_id, text): (String, String)| {
+        let targets = from_json(&format!("statistics of `{episode_id}`"), &text)?;
+        Ok(Witness { episode_id, targets })
+    };
+    let witnesses: Vec<Witness> = statistics.into_iter().map(parse).collect::<PyResult<_>>()?;
+    enter(py, || episode::write_statistics(&path, &episodes, &witnesses))
 }
 
 /// Adds this file's classes and functions to the module.
@@ -211,5 +332,11 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(apply_action, module)?)?;
     module.add_function(wrap_pyfunction!(seed_viewpoints, module)?)?;
     module.add_function(wrap_pyfunction!(read_episodes, module)?)?;
-    module.add_function(wrap_pyfunction!(write_episodes, module)?)
+    module.add_function(wrap_pyfunction!(write_episodes, module)?)?;
+    module.add_function(wrap_pyfunction!(statistics_path, module)?)?;
+    module.add_function(wrap_pyfunction!(read_statistics, module)?)?;
+    module.add_function(wrap_pyfunction!(write_statistics, module)?)?;
+    module.add_function(wrap_pyfunction!(default_difficulty, module)?)?;
+    module.add_function(wrap_pyfunction!(kin_categories, module)?)?;
+    module.add_function(wrap_pyfunction!(moves_to_all, module)?)
 }

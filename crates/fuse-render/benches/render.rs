@@ -1,4 +1,5 @@
-//! Stages of the renderer on a tabletop of 15 things and about 60 000 triangles, 640×480.
+//! Stages of the renderer on a tabletop of twelve things and about 130,000 triangles, 640×480.
+//! `RAYON_NUM_THREADS=1 cargo bench -p fuse-render` measures one thread.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -7,7 +8,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use fuse_render::{RenderOptions, Renderer};
 
 fn benches(c: &mut Criterion) {
-    let scene = common::tabletop(15, 88);
+    let scene = common::tabletop(12, 156);
     let triangles: usize = scene.instances.iter().map(|i| i.model.triangle_count()).sum();
     let full = RenderOptions::default();
     let plain = RenderOptions { shadows: false, ambient_occlusion: false, ..full.clone() };

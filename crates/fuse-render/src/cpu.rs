@@ -4,12 +4,18 @@
 //! chains, shadow maps, ambient occlusion) is made once in [`Renderer::new`].
 
 pub(crate) mod geometry;
+mod lanes;
+mod mask;
 pub(crate) mod occlusion;
+mod points;
 pub(crate) mod raster;
+mod resolve;
 pub(crate) mod shade;
 pub(crate) mod shadow;
 pub(crate) mod texture;
 mod transform;
+
+use std::ops::Range;
 
 use fuse_camera::{Buffer, Camera, DepthBuffer, IdBuffer};
 use glam::Vec3A;
@@ -17,9 +23,11 @@ use rayon::prelude::*;
 
 use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
 use geometry::Geometry;
+use mask::Mask;
 use occlusion::Occlusion;
-use raster::{LANES, Mask, SAMPLES, TILE_HEIGHT, TILE_WIDTH, Tile};
-use shade::{Shader, Shading};
+use raster::{LANES, TILE_HEIGHT, TILE_WIDTH, Tile};
+use resolve::Colors;
+use shade::Shading;
 use shadow::Shadow;
 use transform::{Sampling, Setup, View};
 
@@ -49,14 +57,14 @@ impl Binned {
     fn new(view: &View, setups: Vec<Setup>) -> Self {
         let tiles_x = (view.width as usize).div_ceil(TILE_WIDTH);
         let tiles_y = (view.height as usize).div_ceil(TILE_HEIGHT);
-        let touched = |s: &Setup| {
-            let (x0, x1) = (s.x0 as usize / TILE_WIDTH, s.x1 as usize / TILE_WIDTH);
-            let (y0, y1) = (s.y0 as usize / TILE_HEIGHT, s.y1 as usize / TILE_HEIGHT);
-            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * tiles_x + x))
-        };
         let mut starts = vec![0usize; tiles_x * tiles_y + 1];
-        for t in setups.iter().flat_map(touched) {
-            starts[t + 1] += 1;
+        for s in &setups {
+            let (columns, rows) = touched(s);
+            for y in rows {
+                for start in &mut starts[y * tiles_x + 1..][columns.clone()] {
+                    *start += 1;
+                }
+            }
         }
         for t in 0..tiles_x * tiles_y {
             starts[t + 1] += starts[t];
@@ -64,9 +72,12 @@ impl Binned {
         let mut next = starts.clone();
         let mut order = vec![0u32; starts[tiles_x * tiles_y]];
         for (i, s) in setups.iter().enumerate() {
-            for t in touched(s) {
-                order[next[t]] = i as u32;
-                next[t] += 1;
+            let (columns, rows) = touched(s);
+            for y in rows {
+                for next in &mut next[y * tiles_x..][columns.clone()] {
+                    order[*next] = i as u32;
+                    *next += 1;
+                }
             }
         }
         Self { setups, order, starts, tiles_x }
@@ -76,6 +87,13 @@ impl Binned {
         let t = y * self.tiles_x + x;
         &self.order[self.starts[t]..self.starts[t + 1]]
     }
+}
+
+/// Columns and rows of the tiles that a setup may touch.
+#[inline]
+fn touched(s: &Setup) -> (Range<usize>, Range<usize>) {
+    let columns = s.x0 as usize / TILE_WIDTH..s.x1 as usize / TILE_WIDTH + 1;
+    (columns, s.y0 as usize / TILE_HEIGHT..s.y1 as usize / TILE_HEIGHT + 1)
 }
 
 impl Renderer {
@@ -93,7 +111,7 @@ impl Renderer {
         let shadow = options.shadows.then(|| Shadow::new(&geometry, &scene.light, options.shadow_resolution));
         let occlusion = if options.ambient_occlusion { Occlusion::new(&geometry) } else { None };
         let shading = Shading::new(&scene.light, shadow, occlusion);
-        let background = shading.display(scene.background.into());
+        let background = shading.display_one(scene.background.into());
         Ok(Self { geometry, shading, background, near: options.near, ids })
     }
 
@@ -124,22 +142,20 @@ impl Renderer {
             .zip(frame.instance.as_mut_slice().par_chunks_mut(band))
             .enumerate()
             .for_each_init(
-                || (Tile::new(&view, LANES), Shader::new(&self.geometry, &self.shading, eye)),
-                |(tile, shader), (ty, ((rgb, depth), ids))| {
+                || (Tile::new(&view, LANES), Colors::default()),
+                |(tile, colors), (ty, ((rgb, depth), ids))| {
                     for tx in 0..binned.tiles_x {
                         tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                        shader.reset();
-                        for &s in binned.tile(tx, ty) {
-                            tile.draw_area(&binned.setups[s as usize], s + 1);
-                        }
+                        tile.draw_area(&binned.setups, binned.tile(tx, ty));
                         let columns = tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w as usize);
-                        for row in 0..rgb.len() / w as usize {
-                            let y = ty * TILE_HEIGHT + row;
+                        let rows = ty * TILE_HEIGHT..ty * TILE_HEIGHT + rgb.len() / w as usize;
+                        colors.resolve(tile, columns.clone(), rows.clone());
+                        colors.shade(&self.geometry, &self.shading, &binned.setups, eye);
+                        for (row, y) in rows.enumerate() {
                             for x in columns.clone() {
-                                let samples = tile.samples(x, y);
                                 let at = row * w as usize + x;
-                                (depth[at], ids[at]) = self.center(&binned, samples[0], x, y);
-                                rgb[at] = self.shading.encode.encode(self.pixel(&binned, shader, samples, x, y));
+                                (depth[at], ids[at]) = self.center(&binned, tile.samples(x, y)[0], x, y);
+                                rgb[at] = self.shading.encode.encode(colors.pixel(self.background));
                             }
                         }
                     }
@@ -171,9 +187,7 @@ impl Renderer {
                 |tile, (ty, (depth, ids))| {
                     for tx in 0..binned.tiles_x {
                         tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                        for &s in binned.tile(tx, ty) {
-                            tile.draw_centers(&binned.setups[s as usize], s + 1);
-                        }
+                        tile.draw_centers(&binned.setups, binned.tile(tx, ty));
                         for row in 0..depth.len() / w {
                             let y = ty * TILE_HEIGHT + row;
                             for x in tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w) {
@@ -207,9 +221,7 @@ impl Renderer {
         }
         counts.par_iter_mut().for_each(|count| {
             let mut mask = Mask::new(&view);
-            for setup in binned.setups.iter().filter(|s| self.id(s) == count.id) {
-                mask.draw(setup);
-            }
+            mask.draw(binned.setups.iter().filter(|s| self.id(s) == count.id));
             count.unoccluded_px = mask.count();
         });
         counts
@@ -226,32 +238,6 @@ impl Renderer {
         let Some(index) = key.checked_sub(1) else { return (0.0, 0) };
         let setup = &binned.setups[index as usize];
         (setup.depth(x as f64 + 0.5, y as f64 + 0.5), self.id(setup))
-    }
-
-    /// Display-linear colour of a pixel: each triangle in it is shaded once, at the mean of the
-    /// samples it covers, and weighted with their number.
-    fn pixel(&self, binned: &Binned, shader: &mut Shader<'_>, samples: &[u32; LANES], x: usize, y: usize) -> Vec3A {
-        let mut shade = |key: u32, dx: f32, dy: f32| match key.checked_sub(1) {
-            None => self.background,
-            Some(i) => shader.color(&binned.setups[i as usize], key, (x, y), dx, dy),
-        };
-        if samples.iter().all(|&s| s == samples[0]) {
-            return shade(samples[0], 0.0, 0.0);
-        }
-        let mut sum = Vec3A::ZERO;
-        for (i, &key) in samples.iter().enumerate() {
-            if samples[..i].contains(&key) {
-                continue;
-            }
-            let (mut n, mut dx, mut dy) = (0.0, 0.0, 0.0);
-            for (s, _) in samples.iter().enumerate().filter(|(_, k)| **k == key) {
-                n += 1.0;
-                dx += SAMPLES[s][0];
-                dy += SAMPLES[s][1];
-            }
-            sum += shade(key, dx / n, dy / n) * n;
-        }
-        sum / LANES as f32
     }
 }
 

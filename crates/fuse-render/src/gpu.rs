@@ -4,11 +4,11 @@
 //! | --- | --- |
 //! | transform and raster, once a sample | `raster.wgsl` |
 //! | depth and id at the pixel centre | `centers.wgsl` (with `geometry.wgsl`) |
-//! | shade | `pixels.wgsl` (with `geometry.wgsl`, `texture.wgsl`, `shadow.wgsl`, `occlusion.wgsl`, `shade.wgsl`, `light.wgsl`) |
+//! | shade | `pixels.wgsl` (with `geometry.wgsl`, `texture.wgsl`, `shadow.wgsl`, `shadow/baked.wgsl`, `occlusion.wgsl`, `shade.wgsl`, `light.wgsl`) |
 //! | count of amodal pixels | `count.wgsl` |
 //!
-//! What does not depend on the camera (world-space triangles, mip chains, shadow maps, ambient
-//! occlusion) is made by the CPU, so that both backends read the same numbers, and uploaded once.
+//! What does not depend on the camera (world-space triangles, mip chains, shadow maps and baked shares
+//! of the lamp, ambient occlusion) is made by the CPU, so that both backends read the same numbers, and uploaded once.
 //! Visibility is the GPU's own rasteriser's, whose edges are fixed-point: pixels on an edge may fall on
 //! its other side. Depth is not read from the depth buffer but from the triangle's plane.
 //! WebGPU's default limits; no optional feature.

@@ -25,11 +25,19 @@ pub use scene::{Amodal, Frame, Instance, RenderOptions, Scene, SceneError};
 /// # Errors
 /// [`ModelError`] that names the file and what is wrong with it.
 pub fn load(path: impl AsRef<Path>) -> Result<Model, ModelError> {
+    load_noted(path).map(|(model, _)| model)
+}
+
+/// As [`load`], and what was left out or stood for something else, a sentence each.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_noted(path: impl AsRef<Path>) -> Result<(Model, Vec<String>), ModelError> {
     let path = path.as_ref();
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     match extension.as_deref() {
-        Some("glb" | "gltf") => load_gltf(path),
-        Some("obj") => load_obj(path),
+        Some("glb" | "gltf") => gltf::load_noted(path),
+        Some("obj") => obj::load_noted(path),
         _ => Err(ModelError::Invalid {
             path: path.display().to_string(),
             reason: "its name must end in .glb, .gltf or .obj".into(),

@@ -3,6 +3,8 @@
 //! Models are kept in the world's axes: z up, metres. glTF files are y up; loading and writing
 //! convert.
 
+use std::io::Read as _;
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
@@ -147,6 +149,57 @@ impl Model {
     }
 }
 
+/// Bytes of a file up to which it is read.
+const LARGEST_FILE: u64 = 1 << 30;
+
+/// A file's bytes, unless they are too many for a model or it is no file.
+pub(crate) fn read_bounded(path: &Path) -> std::io::Result<Vec<u8>> {
+    let refuse = |text: String| Err(std::io::Error::other(text));
+    let file = std::fs::File::open(path)?;
+    let kind = file.metadata()?;
+    if !kind.is_file() {
+        return refuse("it is not a file".into());
+    }
+    if kind.len() > LARGEST_FILE {
+        return refuse(format!("it has {} bytes, expected at most {LARGEST_FILE}", kind.len()));
+    }
+    let mut bytes = Vec::with_capacity(kind.len() as usize);
+    file.take(LARGEST_FILE).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// How many more vertices and corners of triangles a file may have: parts may share data, so that a
+/// small file can ask for many.
+pub(crate) struct Budget {
+    vertices: usize,
+    corners: usize,
+}
+
+/// Vertices of a model file, at most.
+pub(crate) const MOST_VERTICES: usize = 10_000_000;
+/// Corners of its triangles.
+pub(crate) const MOST_CORNERS: usize = 6 * MOST_VERTICES;
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { vertices: MOST_VERTICES, corners: MOST_CORNERS }
+    }
+}
+
+impl Budget {
+    /// Asks for space before it is allocated.
+    pub(crate) fn take(&mut self, vertices: usize, corners: usize) -> Result<(), String> {
+        let less = |have: &mut usize, wanted: usize, most: usize, what: &str| {
+            *have = have
+                .checked_sub(wanted)
+                .ok_or_else(|| format!("it has more than {most} {what}, expected a model of a thing on a table"))?;
+            Ok::<(), String>(())
+        };
+        less(&mut self.vertices, vertices, MOST_VERTICES, "vertices")?;
+        less(&mut self.corners, corners, MOST_CORNERS, "corners of triangles")
+    }
+}
+
 impl Default for Material {
     /// glTF's default: white, but rough and dielectric.
     fn default() -> Self {
@@ -172,6 +225,9 @@ pub(crate) fn decode_texture(bytes: &[u8]) -> Result<Texture, String> {
     let mut limits = image::Limits::default();
     (limits.max_image_width, limits.max_image_height) = (Some(MAX_TEXTURE_SIDE), Some(MAX_TEXTURE_SIDE));
     reader.limits(limits);
+    if reader.format().is_none() {
+        return Err("is neither a PNG nor a JPEG".into());
+    }
     let image = reader.decode().map_err(|e| match e {
         image::ImageError::Limits(_) => format!("is larger than {MAX_TEXTURE_SIDE}x{MAX_TEXTURE_SIDE} texels"),
         e => format!("is neither a sound PNG nor a JPEG: {e}"),

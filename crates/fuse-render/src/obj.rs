@@ -1,5 +1,7 @@
 //! Wavefront OBJ files with their MTL.
 
+mod lines;
+
 use std::cell::RefCell;
 use std::io::{BufReader, Cursor};
 use std::path::{Component, Path};
@@ -7,7 +9,7 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use crate::model::{self, Material, Mesh, Model, ModelError};
+use crate::model::{self, MOST_CORNERS, MOST_VERTICES, Material, Mesh, Model, ModelError};
 
 /// Reads an `.obj` file. Axes are taken as z up, metres; materials and textures may lie beside
 /// it, not outside its folder.
@@ -15,27 +17,51 @@ use crate::model::{self, Material, Mesh, Model, ModelError};
 /// # Errors
 /// [`ModelError`] that names the file and what is wrong with it.
 pub fn load_obj(path: impl AsRef<Path>) -> Result<Model, ModelError> {
-    let path = path.as_ref();
+    load_noted(path.as_ref()).map(|(model, _)| model)
+}
+
+/// As [`load_obj`], and what was left out or stood for something else, in sentences.
+pub(crate) fn load_noted(path: &Path) -> Result<(Model, Vec<String>), ModelError> {
     let name = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|source| ModelError::Io { path: name.clone(), source })?;
+    let bytes = model::read_bounded(path).map_err(|source| ModelError::Io { path: name.clone(), source })?;
     parse(&bytes, path.parent().unwrap_or(Path::new("."))).map_err(|reason| ModelError::Invalid { path: name, reason })
 }
 
-fn read_beside(folder: &Path, file: &Path) -> Result<Vec<u8>, String> {
-    if !file.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir)) {
-        return Err(format!("it refers to {}; only files in its own folder are read", file.display()));
-    }
-    std::fs::read(folder.join(file)).map_err(|e| format!("it refers to {}, which cannot be read: {e}", file.display()))
+/// Why a file beside the model was not read.
+enum Refused {
+    /// It is not there.
+    Missing(String),
+    /// What a person is told.
+    For(String),
 }
 
-fn parse(bytes: &[u8], folder: &Path) -> Result<Model, String> {
+fn read_beside(folder: &Path, file: &Path) -> Result<Vec<u8>, Refused> {
+    let name = file.display().to_string();
+    // OBJ files from Windows have its separators.
+    let outside = |p: &Path| !p.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    if outside(file) || name.contains(':') || outside(Path::new(&name.replace('\\', "/"))) {
+        return Err(Refused::For(format!("it refers to {name}; only files in its own folder are read")));
+    }
+    model::read_bounded(&folder.join(name.replace('\\', "/"))).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => Refused::Missing(name),
+        _ => Refused::For(format!("it refers to {name}, which cannot be read: {e}")),
+    })
+}
+
+fn parse(bytes: &[u8], folder: &Path) -> Result<(Model, Vec<String>), String> {
+    let mut notes = lines::check(bytes)?;
     // The reader replaces what the callback returns; the first true cause is kept here.
-    let trouble = RefCell::new(None);
+    let (trouble, missing) = (RefCell::new(None), RefCell::new(vec![]));
     let options = tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     let (shapes, materials) =
         tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |file| match read_beside(folder, file) {
+            // What is missing is grey; what is outside is not even looked for.
+            Err(Refused::Missing(name)) => {
+                missing.borrow_mut().push(name);
+                Ok(Default::default())
+            }
             Ok(data) => tobj::load_mtl_buf(&mut BufReader::new(Cursor::new(data))),
-            Err(reason) => {
+            Err(Refused::For(reason)) => {
                 trouble.borrow_mut().get_or_insert(reason);
                 Err(tobj::LoadError::OpenFileFailed)
             }
@@ -44,6 +70,7 @@ fn parse(bytes: &[u8], folder: &Path) -> Result<Model, String> {
     if let Some(reason) = trouble.into_inner() {
         return Err(reason);
     }
+    notes.extend(missing.into_inner().into_iter().map(|m| format!("its material file {m} is missing: grey instead")));
     let materials = materials.map_err(|e| format!("its material file is damaged: {e}"))?;
     let mut out = Model::default();
     for m in &materials {
@@ -63,13 +90,16 @@ fn parse(bytes: &[u8], folder: &Path) -> Result<Model, String> {
         return Err("it has no triangles".into());
     }
     out.check()?;
-    Ok(out)
+    Ok((out, notes))
 }
 
 fn material(m: &tobj::Material, folder: &Path) -> Result<Material, String> {
     let texture = match &m.diffuse_texture {
         Some(file) => {
-            let bytes = read_beside(folder, Path::new(file))?;
+            let bytes = read_beside(folder, Path::new(file)).map_err(|r| match r {
+                Refused::Missing(name) => format!("its texture {name} is missing; put it beside the model"),
+                Refused::For(reason) => reason,
+            })?;
             Some(Arc::new(model::decode_texture(&bytes).map_err(|e| format!("the texture {file} {e}"))?))
         }
         None => None,

@@ -30,7 +30,6 @@ mod render;
 mod schedule;
 mod sh;
 mod shot;
-mod simd;
 mod spz;
 mod stages;
 mod surgery;

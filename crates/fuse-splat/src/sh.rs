@@ -3,7 +3,7 @@
 //! colour = max(0, ½ + Σₖ cₖ Yₖ(d)), d the unit direction from the camera to the Gaussian.
 
 use crate::constants::SH_C0;
-use crate::simd::F32x8;
+use fuse_camera::simd::F32x8;
 
 const C1: f32 = 0.488_602_51;
 const C2: [f32; 3] = [1.092_548_4, 0.315_391_57, 0.546_274_2];

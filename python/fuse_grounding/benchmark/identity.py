@@ -56,7 +56,7 @@ def identity(config: Config, episodes: Sequence[Episode], provenance: Mapping[st
         "episodes": {e.episode_id: digest(e.text.encode()) for e in episodes},
         "weights": provenance["sha256"],
         "code": code_digest(_PACKAGE),
-        "data": _files_digest(_PACKAGE, (p for p in (_PACKAGE / "data").rglob("*") if p.is_file())),
+        "data": _files_digest(_PACKAGE, (p for p in (_PACKAGE / "data").rglob("*") if _decides(p))),
         "packages": provenance["packages"],
         "simd_level": provenance["simd_level"],
         "device": provenance["device"],
@@ -97,6 +97,11 @@ def _files_digest(root: Path, files: Any) -> str:
     for path in sorted(files):
         total.update(f"{path.relative_to(root).as_posix()} {digest(path.read_bytes())}\n".encode())
     return total.hexdigest()
+
+
+def _decides(path: Path) -> bool:
+    """Whether a file of the data can change a result: not how long a set took to make."""
+    return path.is_file() and not path.name.endswith(".generation.json")
 
 
 def _settings(config: Config) -> dict[str, Any]:

@@ -70,6 +70,7 @@ def _outcome(grounded: Grounded) -> Row:
         "score": result.score,
         "instance_score": result.instance_score,
         "candidates": [c.label for c in record.candidates],
+        "candidates_unknown": [c.label for c in record.candidates_unknown],
         "knowledge": record.knowledge,
         "online_actions": result.online_actions,
         "observations": result.observations,

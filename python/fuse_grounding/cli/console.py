@@ -26,8 +26,10 @@ def print_json(value: Any) -> None:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
+def interruptible(kept: str = "nothing was written") -> Iterator[None]:
     """Within it an interrupt ends the process at once, with 130, even in native code that does not listen.
+
+    `kept` says what is left.
 
     For the main thread, and for work that writes nothing before it is done.
     """
@@ -37,7 +39,7 @@ def interruptible() -> Iterator[None]:
     def listen() -> None:
         while number := os.read(reading, 1):
             if number[0] == signal.SIGINT:
-                print("fuse: interrupted; nothing was written", file=sys.stderr, flush=True)
+                print(f"fuse: interrupted; {kept}", file=sys.stderr, flush=True)
                 os._exit(130)
 
     listener = threading.Thread(target=listen, daemon=True)

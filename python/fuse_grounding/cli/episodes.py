@@ -2,87 +2,215 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
-import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from fuse_grounding._core import statistics_path
 from fuse_grounding.cli.console import interruptible, print_json
 from fuse_grounding.environment import (
+    SETS,
     Episode,
     TabletopEnvironment,
     Target,
+    episodes_path,
+    generate_set,
     load_episodes,
-    make_episodes,
-    save_episodes,
 )
 from fuse_grounding.environment.episodes import stage
+from fuse_grounding.environment.sets import plan_of
 from fuse_grounding.errors import InputError
 
 app = typer.Typer(help="Make, check and look at episodes.", no_args_is_help=True)
 
+_EVERY_SET = "all"
+
+
+def _knobs(pairs: list[str]) -> dict[str, Any]:
+    """`name=value` pairs, values in JSON. Raises InputError."""
+    knobs: dict[str, Any] = {}
+    for pair in pairs:
+        name, separator, value = pair.partition("=")
+        try:
+            if not separator:
+                raise ValueError("there is no `=`")
+            knobs[name] = json.loads(value)
+        except ValueError as error:
+            raise InputError(
+                f"--knob must be name=value with a value in JSON, such as near_misses=5, "
+                f"found `{pair}`: {error}"
+            ) from None
+    return knobs
+
+
+def _outputs(split: str, out: Path) -> dict[str, Path]:
+    """The file of each set to make; tried before minutes are spent. Raises InputError."""
+    if split == _EVERY_SET:
+        if not out.is_dir():
+            raise InputError(f"--out must be a folder that exists with --split all, found {out}")
+        paths = {name: out / f"{name}.json.gz" for name in SETS}
+    else:
+        paths = {plan_of(split).name: out}
+    for path in paths.values():
+        if not path.name.endswith(".json.gz"):
+            raise InputError(f"--out must end in .json.gz, found {path}")
+        if not path.parent.is_dir():
+            raise InputError(f"the folder of --out does not exist: {path.parent}")
+        if path.is_dir():
+            raise InputError(f"--out {path} is a folder")
+        try:
+            tempfile.TemporaryFile(dir=path.parent).close()
+        except OSError as error:
+            raise InputError(f"--out {path} cannot be written: {error.strerror}") from None
+    return paths
+
 
 @app.command()
 def generate(
-    split: Annotated[str, typer.Option(help="train, dev or eval: which scenes and objects.")],
-    out: Annotated[Path, typer.Option(help="File to write, ending in .json.gz.")],
-    count: Annotated[int, typer.Option(min=1, help="Number of episodes.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the set.")] = 0,
+    split: Annotated[str, typer.Option(help="train, dev, eval or large; all: each of them.")],
+    out: Annotated[Path, typer.Option(help="File to write, ending in .json.gz; with all, a folder.")],
+    count: Annotated[
+        int | None, typer.Option(min=1, help="Number of episodes; default: 416, 25, 100, 1000.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the set; default: its recorded one.")
+    ] = None,
+    knob: Annotated[
+        list[str] | None,
+        typer.Option(help="Difficulty: name=value, such as near_misses=5 (docs/world.md). Repeatable."),
+    ] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads; default: one for each core.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
 ) -> None:
-    """Make a set of episodes; the same arguments give the same file."""
-    if not out.name.endswith(".json.gz"):
-        raise InputError(f"--out must end in .json.gz, found {out}")
-    if not out.parent.is_dir():
-        raise InputError(f"the folder of --out does not exist: {out.parent}")
-    try:
-        if out.is_dir():
-            raise InputError(f"--out {out} is a folder")
-        tempfile.TemporaryFile(dir=out.parent).close()  # before minutes are spent
-    except OSError as error:
-        raise InputError(f"--out {out} cannot be written: {error.strerror}") from None
-    began = time.perf_counter()
-    with interruptible():
-        episodes, rejected = make_episodes(split, count, seed)
-    seconds = time.perf_counter() - began
-    save_episodes(out, episodes)
-    if as_json:
-        print_json(
-            {"out": str(out), "episodes": len(episodes), "rejected": rejected, "generate_seconds": seconds}
+    """Make a set of episodes; the same arguments give the same file, on any number of threads.
+
+    Interrupted, it keeps finished parts in OUT.parts, and the same command goes on from there.
+    """
+    difficulty, told = _knobs(knob or []), []
+    for name, path in _outputs(split, out).items():
+        with _progress(name) as progress:
+            task = progress.add_task(name, total=None)
+
+            def tell(done: int, total: int, progress: Progress = progress, task: Any = task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            kept = f"finished parts are kept in {path.name}.parts; the same command goes on"
+            with interruptible(kept):
+                made = generate_set(
+                    name, path, count=count, seed=seed, difficulty=difficulty, threads=threads, tell=tell
+                )
+        row = {
+            "out": str(path),
+            "episodes": made.episodes,
+            "rejected": made.rejected,
+            "generate_seconds": made.seconds,
+        }
+        told.append(row)
+        if as_json:
+            continue
+        typer.echo(
+            f"{path}: {made.episodes} episodes in {made.seconds:.1f} s "
+            f"({made.seconds / made.episodes:.2f} s each), {path.stat().st_size / 1e3:.0f} kB and "
+            f"{statistics_path(path).stat().st_size / 1e3:.0f} kB of statistics"
         )
-        return
-    typer.echo(f"{out}: {len(episodes)} episodes in {seconds:.1f} s, {out.stat().st_size / 1e3:.0f} kB")
-    for reason, times in sorted(rejected.items()):
-        typer.echo(f"  {times} layouts thrown away: {reason}")
+        for reason, times in sorted(made.rejected.items()):
+            typer.echo(f"  {times} layouts thrown away: {reason}")
+    if as_json:
+        print_json(told if split == _EVERY_SET else told[0])
+
+
+def _progress(name: str) -> Progress:
+    """A bar on the terminal's error stream, nothing elsewhere."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
 
 
 @app.command()
 def validate(
     file: Annotated[str, typer.Argument(help="A .json.gz file, or the name of a shipped set.")],
+    statistics: Annotated[
+        Path | None, typer.Option(help="Its statistics; default: FILE.statistics.json.gz beside it.")
+    ] = None,
+    render: Annotated[
+        bool, typer.Option("--render", help="Count all pixels anew and compare: about a second an episode.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
 ) -> None:
-    """Check every episode of a file; exit status 2 names what is wrong."""
-    episodes = load_episodes(file)
+    """Check every episode of a file, that it can be won, and its statistics.
+
+    Exit status 2 names what is wrong.
+    """
+    episodes = load_episodes(file, statistics=statistics)
+    path = episodes_path(file)
+    if not render and any(e.statistics_text is None for e in episodes):
+        raise InputError(
+            f"{path} has no statistics {statistics_path(path).name} beside it, so that what its episodes "
+            "promise cannot be checked; --render counts the pixels anew"
+        )
+    with _progress(file) as progress:
+        for episode in progress.track(episodes, description="rendering") if render else ():
+            with interruptible():
+                counted = stage().statistics(episode.text)
+            try:
+                stage().validate(episode.text, counted)
+            except InputError as error:
+                raise InputError(f"{path}: rendered anew: {error}") from None
+            if episode.statistics is not None and json.loads(counted) != episode.statistics:
+                raise InputError(f"{path}: episode `{episode.episode_id}`: rendered anew, other statistics")
     if as_json:
-        print_json({"file": file, "episodes": [e.episode_id for e in episodes]})
+        print_json({"file": file, "episodes": [e.episode_id for e in episodes], "rendered": render})
     else:
-        typer.echo(f"{file}: {len(episodes)} episodes, all sound")
+        how = ", counted anew" if render else ""
+        typer.echo(f"{file}: {len(episodes)} episodes, all sound{how}")
 
 
 @app.command()
-def scenes(as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False) -> None:
-    """List the scene configurations."""
+def scenes(
+    sheets: Annotated[
+        Path | None, typer.Option(help="Folder for a picture of each scene from six viewpoints.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
+) -> None:
+    """List the scene configurations; with --sheets, draw each with an episode on its table."""
     rows = stage().scenes()
+    drawn = {}
+    if sheets is not None:
+        from fuse_grounding.cli.sheets import scene_sheet, write_sheet
+
+        with interruptible():
+            for name, _, _, _ in rows:
+                drawn[name] = str(write_sheet(sheets, name, scene_sheet(name)))
     if as_json:
         keys = ("name", "split", "weak_texture", "description")
-        print_json([dict(zip(keys, row, strict=True)) for row in rows])
+        print_json([{**dict(zip(keys, row, strict=True)), "sheet": drawn.get(row[0])} for row in rows])
         return
     for name, split, _, description in rows:
         typer.echo(f"{name:<18} {split:<6} {description}")
+    for path in drawn.values():
+        typer.echo(path)
+
+
+@app.command()
+def card(
+    file: Annotated[str, typer.Argument(help="A .json.gz file, or the name of a shipped set.")],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.md and its plots.")] = Path("docs/episodes"),
+    knobs: Annotated[
+        int, typer.Option(min=0, help="Episodes to make for each setting of a knob; 0 leaves the table out.")
+    ] = 0,
+) -> None:
+    """Write a set's dataset card: what is in it, how hard it is, how it was made, with plots."""
+    from fuse_grounding.cli.card import write_card
+
+    with interruptible():
+        typer.echo(str(write_card(file, out, knobs)))
 
 
 @app.command()
@@ -119,11 +247,11 @@ def _tell(episode: Episode) -> None:
         f'{episode.episode_id}  {episode.scene_id}  "{episode.query}" ({episode.verb}), seed {episode.seed}'
     )
     typer.echo(f"  target {names[data['target']]}; " + ", ".join(names[i] for i in data["distractor_ids"]))
-    first, index = data["statistics"][0], 3 * node + pitch
-    seen, whole = first["visible_px"][index], first["unoccluded_px"][index]
     typer.echo(
-        f"  start at node {node}, {15 * (pitch + 1)} degrees down: {seen} of {whole} pixels of the target "
-        f"({seen / whole:.0%}); at best {first['pixels_max']} pixels"
+        f"  start at node {node}, {15 * (pitch + 1)} degrees down: {data['start_px']} pixels of the target "
+        f"({data['start_fraction']:.0%}); at best, node {data['best_node']}, "
+        f"{15 * (data['best_pitch'] + 1)} degrees: {data['best_px']} ({data['best_fraction']:.0%}); "
+        f"seen well after {data['moves_to_good_view']} moves"
     )
 
 

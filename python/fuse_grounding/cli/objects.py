@@ -1,4 +1,4 @@
-"""`fuse objects`: generate the catalogue, list it, look at it."""
+"""`fuse objects`: generate the catalogue, import models, list them, look at them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from rich.table import Table
 
 from fuse_grounding import _core
 from fuse_grounding.cli.console import print_json
+from fuse_grounding.cli.objects_import import import_
 from fuse_grounding.errors import InputError
 
 SHIPPED = Path(__file__).parent.parent / "data" / "objects"
 
 app = typer.Typer(help="The objects that scenes are made of.", no_args_is_help=True)
+app.command("import")(import_)
 
 Library = Annotated[Path, typer.Option("--library", help="Folder with catalogue.json.")]
 Categories = Annotated[
@@ -68,7 +70,7 @@ def list_(
     category: Categories = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
 ) -> None:
-    """List the objects with size and resting poses."""
+    """List the objects with size and resting poses; --json tells all that is recorded."""
     _, records = _chosen(library, category)
     if as_json:
         print_json(records)

@@ -4,38 +4,57 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from fuse_grounding._core import Stage, read_episodes, recognised_categories, write_episodes
+from fuse_grounding._core import (
+    Stage,
+    default_difficulty,
+    read_episodes,
+    read_statistics,
+    statistics_path,
+    write_episodes,
+    write_statistics,
+)
 from fuse_grounding.arguments import instance_of, whole
 from fuse_grounding.errors import InputError
+from fuse_grounding.registry import unknown
 
 DATA = Path(__file__).parent.parent / "data"
 """Objects, scenes, tables and episode sets that come with the package."""
 
 DEFAULT_SCENE = "dev_kitchen"
 
-EPISODE_VERBS = (
-    *("cut", "scoop", "pour", "sip", "stir", "spread", "pound", "write", "wipe", "measure", "tighten"),
-)
-"""Verbs that episodes ask for: those that the shipped network's categories serve in several ways or by
-name. A network that knows more categories allows more; until then recorded sets keep their bytes."""
+HOLDING_OUT = ("eval",)
+"""Splits whose queries are phrasings that no other split uses and no knowledge source lists."""
+
+Asked = tuple[str, str, str, int, str]
+"""Scene, verb, query, seed and id of an episode to be made."""
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One search: a query, a laid table, a start. `text` is its JSON, which is what is true of it."""
+    """One search: a query, a laid table, a start. `text` is its JSON, which is what is true of it.
+
+    `statistics_text` is JSON too: what the 108 viewpoints see of each valid target, where that is known; it
+    follows from the episode, so it is no part of what makes two of them equal.
+    """
 
     text: str = field(repr=False)
+    statistics_text: str | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def data(self) -> dict[str, Any]:
         """The JSON as a dictionary; see `fuse episodes show`."""
         return json.loads(self.text)
+
+    @cached_property
+    def statistics(self) -> list[dict[str, Any]] | None:
+        """`statistics_text` as dictionaries, the sampled target first; None where it is not known."""
+        return None if self.statistics_text is None else json.loads(self.statistics_text)
 
     @property
     def episode_id(self) -> str:
@@ -102,34 +121,25 @@ def check_threads() -> None:
 
 
 @cache
-def _validity() -> dict[str, list[str]]:
-    """Verb -> valid categories that can be on the table: the ground truth of episodes, read by no
-    knowledge source."""
+def valid_categories() -> dict[str, list[str]]:
+    """Verb -> valid categories: the ground truth of episodes, read by no knowledge source."""
     path = DATA / "validity.json"
-    known = set(recognised_categories())
     try:
         verbs = json.loads(path.read_text(encoding="utf-8"))["verbs"]
-        return {
-            verb: [c for c, entry in verbs[verb].items() if entry["valid"] and c in known]
-            for verb in EPISODE_VERBS
-        }
+        table = {verb: [c for c, entry in row.items() if entry["valid"]] for verb, row in verbs.items()}
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is not a validity table: {error!r}") from error
+    return {verb: valid for verb, valid in table.items() if valid}
 
 
 @cache
-def _asked() -> dict[str, list[str]]:
-    """Verb -> the words that it is asked with, for every verb that a query may mean."""
+def phrasings(split: str) -> dict[str, list[str]]:
+    """Verb -> the words that it is asked with in a split; evaluation has phrasings of its own."""
     verbs = json.loads((DATA / "affordances.json").read_text(encoding="utf-8"))["verbs"]
-    return {verb: list(entry["queries"]) for verb, entry in verbs.items()}
-
-
-@cache
-def _queries() -> dict[str, list[str]]:
-    """The same for verbs that some category can serve."""
-    return {verb: _asked()[verb] for verb, valid in _validity().items() if valid and verb in _asked()}
+    which = "queries_eval" if split in HOLDING_OUT else "queries"
+    return {verb: list(verbs[verb][which]) for verb in valid_categories() if verb in verbs}
 
 
 def scene_names() -> list[str]:
@@ -137,34 +147,43 @@ def scene_names() -> list[str]:
     return [name for name, _, _, _ in stage().scenes()]
 
 
-def make_episode(verb: str, scene: str | None = None, seed: int = 0, *, query: str | None = None) -> Episode:
-    """A fresh episode for a verb. The same arguments give the same episode.
+def knobs(difficulty: Mapping[str, Any] | None = None) -> str:
+    """Difficulty as JSON; values are checked when it is used. Raises InputError for an unknown knob."""
+    defaults: dict[str, Any] = json.loads(default_difficulty())
+    for name in difficulty or {}:
+        if name not in defaults:
+            raise InputError(unknown("difficulty", str(name), list(defaults)))
+    return json.dumps({**defaults, **(difficulty or {})})
+
+
+def make_episode(
+    verb: str,
+    scene: str | None = None,
+    seed: int = 0,
+    *,
+    query: str | None = None,
+    difficulty: Mapping[str, Any] | None = None,
+) -> Episode:
+    """A fresh episode for a verb, with its statistics. The same arguments give the same episode.
 
     `scene` defaults to dev_kitchen; `query` to the first phrase that asks for the verb. Objects are
-    those of the scene's split. Raises InputError for an unknown scene or verb.
+    those of the scene's split. `difficulty` are knobs by name (docs/world.md). Raises InputError for an
+    unknown scene, verb or knob.
     """
     seed = whole("seed", seed, 0, 2**53 - 1)
     scene = DEFAULT_SCENE if scene is None else scene
     instance_of("verb", verb, str)
     instance_of("scene", scene, str)
-    if verb not in _validity() and verb in _asked():
-        raise InputError(
-            f"`{verb}` is known, but no episode asks for it yet; "
-            f"verbs with episodes: {', '.join(_validity())}"
-        )
-    words = query or next(iter(_queries().get(verb, ())), verb)
-    text, _ = stage().make_episode(_validity(), scene, verb, words, seed, f"{scene}_{verb}_{seed}")
-    return Episode(text)
+    words = query or next(iter(phrasings("train").get(verb, ())), verb)
+    asked = (scene, verb, words, seed, f"{scene}_{verb}_{seed}")
+    text, statistics, _ = stage().make_episode(valid_categories(), asked, knobs(difficulty))
+    return Episode(text, statistics)
 
 
-def make_episodes(split: str, count: int, seed: int) -> tuple[list[Episode], dict[str, int]]:
-    """A set over the split's scenes and all verbs, and how many layouts were thrown away, by reason."""
-    made = stage().make_episodes(_validity(), _queries(), split, count, seed)
-    rejected: dict[str, int] = {}
-    for _, reasons in made:
-        for reason, times in reasons.items():
-            rejected[reason] = rejected.get(reason, 0) + times
-    return [Episode(text) for text, _ in made], rejected
+def shipped_sets() -> list[str]:
+    """Names of the sets that come with the package."""
+    names = (p.name.removesuffix(".json.gz") for p in (DATA / "episodes").glob("*.json.gz"))
+    return sorted(name for name in names if not name.endswith(".statistics"))
 
 
 def episodes_path(name: str | Path) -> Path:
@@ -174,16 +193,26 @@ def episodes_path(name: str | Path) -> Path:
     if not path.exists() and shipped.exists():
         return shipped
     if not path.is_file():
-        known = ", ".join(sorted(p.name.removesuffix(".json.gz") for p in shipped.parent.glob("*.json.gz")))
+        known = ", ".join(shipped_sets())
         raise InputError(f"no episode file {path}, and no shipped set of that name (there are: {known})")
     return path
 
 
-def load_episodes(name: str | Path, *, validate: bool = True) -> list[Episode]:
-    """Episodes of a .json.gz file, or of a shipped set by name (`dev`). Raises InputError."""
+def load_episodes(
+    name: str | Path, *, validate: bool = True, statistics: str | Path | None = None
+) -> list[Episode]:
+    """Episodes of a .json.gz file, or of a shipped set by name (`dev`). Raises InputError.
+
+    Their statistics come from `statistics`, or from the file beside it where there is one.
+    """
     path = episodes_path(name)
+    beside = statistics_path(path) if statistics is None else Path(statistics)
+    if statistics is not None and not beside.is_file():
+        raise InputError(f"no statistics file {beside}")
     try:
-        episodes = [Episode(text) for text in read_episodes(path)]
+        texts, _ = read_episodes(path)
+        counted = read_statistics(beside, path) if beside.is_file() else [None] * len(texts)
+        episodes = [Episode(text, known) for text, known in zip(texts, counted, strict=True)]
         for episode in episodes if validate else ():
             stage().validate(episode.text)
     except InputError as error:
@@ -191,11 +220,28 @@ def load_episodes(name: str | Path, *, validate: bool = True) -> list[Episode]:
     return episodes
 
 
+def load_generation(name: str | Path) -> dict[str, Any] | None:
+    """How a set was generated; None for one that was put together by hand. Raises InputError."""
+    return json.loads(read_episodes(episodes_path(name))[1])
+
+
 def _of_file(path: Path, error: InputError) -> InputError:
     """The error with the file's name, where it speaks of an episode alone."""
     return error if str(path) in str(error) else InputError(f"{path}: {error}")
 
 
-def save_episodes(path: Path, episodes: Sequence[Episode]) -> None:
-    """Writes a .json.gz file, whole or not at all. Raises InputError when it cannot be written."""
-    write_episodes(path, [episode.text for episode in episodes])
+def save_episodes(
+    path: Path, episodes: Sequence[Episode], generation: Mapping[str, Any] | None = None
+) -> None:
+    """Writes a .json.gz file and its statistics beside it, each whole or not at all.
+
+    Statistics are written where every episode has them; those of an earlier file of the name are taken away.
+    Raises InputError when a file cannot be written.
+    """
+    beside = statistics_path(path)
+    write_episodes(path, [e.text for e in episodes], json.dumps(generation))
+    known = [(e.episode_id, e.statistics_text) for e in episodes if e.statistics_text is not None]
+    if len(known) == len(episodes):
+        write_statistics(beside, path, known)
+    else:
+        beside.unlink(missing_ok=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +15,8 @@ from fuse_grounding._core import Camera, World, action_mask, apply_action, seed_
 from fuse_grounding.arguments import device_wish, whole
 from fuse_grounding.environment.episodes import Episode, stage
 from fuse_grounding.environment.protocol import Observation
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ class TabletopEnvironment:
         """What it renders on, by name."""
         self._world = World(episode.text, stage(), device)
         self._viewpoint = episode.start
+        self._statistics: list[dict[str, Any]] | None = episode.statistics
 
     @property
     def viewpoint(self) -> tuple[int, int]:
@@ -125,7 +131,16 @@ class TabletopEnvironment:
         return seen.instance
 
     def true_targets(self) -> Sequence[Target]:
-        """The valid objects, the sampled target first."""
+        """The valid objects, the sampled target first.
+
+        Their pixels are counted by rendering where the episode brings no statistics; that is logged.
+        """
+        if self._statistics is None:
+            _log.warning(
+                "episode %s has no statistics with it: pixels are counted in 108 views, which takes a moment",
+                self.episode.episode_id,
+            )
+            self._statistics = json.loads(stage().statistics(self.episode.text))
         return [
             Target(
                 instance=s["instance_id"],
@@ -138,5 +153,5 @@ class TabletopEnvironment:
                 visible_px=np.asarray(s["visible_px"]).reshape(36, 3),
                 unoccluded_px=np.asarray(s["unoccluded_px"]).reshape(36, 3),
             )
-            for s in self.episode.data["statistics"]
+            for s in self._statistics
         ]

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.affordances import Affordances, Thing, Verb
 from fuse_grounding.knowledge.protocol import Candidate, Confidant, Hypotheses, Query
+from fuse_grounding.knowledge.vocabulary import within
 
 
 def satisfies(verb: Verb, thing: Thing, graph: Affordances) -> Candidate | None:
@@ -29,7 +30,7 @@ def satisfies(verb: Verb, thing: Thing, graph: Affordances) -> Candidate | None:
 
 
 class Graph:
-    """Candidates by the property graph, restricted to a vocabulary, best first."""
+    """Candidates by the property graph, best first."""
 
     name = "graph"
 
@@ -41,19 +42,17 @@ class Graph:
         self, query: Query, vocabulary: Sequence[str] | None, world: Confidant | None = None
     ) -> Hypotheses:
         """See `KnowledgeSource.hypotheses`; ties keep the graph's order of objects."""
-        names = list(self._graph.things) if vocabulary is None else vocabulary
-        found = self._rank(query.verb, names)
+        found = self._rank(query.verb)
         if not found:
             verb = self._graph.verbs[query.verb]
-            served = [v for v in self._graph.verbs if self._rank(v, names)]
+            served = [v for v in self._graph.verbs if self._rank(v)]
             raise InputError(
-                f"nothing that can be recognised here satisfies `{query.verb}` ({verb.rationale}); "
+                f"nothing in the graph satisfies `{query.verb}` ({verb.rationale}); "
                 f"verbs that something does satisfy: {', '.join(served)}"
             )
-        return Hypotheses(self.name, tuple(found[: self._top_k]))
+        return within(self.name, found, vocabulary, top_k=self._top_k)
 
-    def _rank(self, verb: str, names: Sequence[str]) -> list[Candidate]:
-        allowed = set(names)
-        things = (t for name, t in self._graph.things.items() if name in allowed)
+    def _rank(self, verb: str) -> list[Candidate]:
+        things = self._graph.things.values()
         found = [satisfies(self._graph.verbs[verb], thing, self._graph) for thing in things]
         return sorted((c for c in found if c is not None), key=lambda c: -c.score)

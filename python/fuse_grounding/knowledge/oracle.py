@@ -7,6 +7,7 @@ from typing import Literal
 
 from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.protocol import Candidate, Confidant, Hypotheses, Query
+from fuse_grounding.knowledge.vocabulary import within
 
 
 class Oracle:
@@ -24,10 +25,9 @@ class Oracle:
         if world is None:
             raise InputError("knowledge source `oracle` needs an episode that knows its target; use `graph`")
         labels = [world.oracle_target()] if self._tell == "target" else list(world.oracle_valid())
-        unknown = [x for x in labels if vocabulary is not None and x not in vocabulary]
-        if unknown or not labels:
-            raise InputError(f"the oracle's labels {labels} are not all known to the segmenter: {unknown}")
+        if not labels:
+            raise InputError("the oracle was told no label: the episode has no valid object")
         what = "the episode's target" if self._tell == "target" else "a valid object in the scene"
         note = f"oracle: the world was asked for {what}, label only"
         candidates = tuple(Candidate(label, 1.0, f"{what}, told by the oracle") for label in labels)
-        return Hypotheses(self.name, candidates, (note,))
+        return within(self.name, candidates, vocabulary, announcements=(note,))

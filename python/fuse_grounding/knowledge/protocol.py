@@ -27,11 +27,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Candidates, best first, and what a reader must know about how they came about."""
+    """Candidates, best first, and what a reader must know about how they came about.
+
+    `unknown` were proposed and left out, because the segmenter does not know them (`knowledge.vocabulary`).
+    """
 
     source: str
     candidates: tuple[Candidate, ...]
     announcements: tuple[str, ...] = ()
+    unknown: tuple[Candidate, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -64,7 +68,8 @@ class KnowledgeSource(Protocol):
     ) -> Hypotheses:
         """At most the configured number of candidates out of `vocabulary` (None: anything goes).
 
+        What it proposes beyond `vocabulary` is in `unknown`; there may be no candidate but those.
         `world` is there for sources that ask it openly; others do not touch it. Raises InputError
-        when nothing is found.
+        when nothing is proposed at all.
         """
         ...

@@ -9,7 +9,7 @@ use parry3d::math::Pose as Isometry;
 use parry3d::shape::TriMesh;
 
 use super::*;
-use crate::episode;
+use crate::episode::{self, EpisodeSet, Witness};
 use crate::world::World;
 
 fn data() -> PathBuf {
@@ -42,11 +42,11 @@ fn cut() -> (Validity, Request) {
     (validity, request)
 }
 
-fn made() -> &'static Episode {
-    static MADE: OnceLock<Episode> = OnceLock::new();
+fn made() -> &'static Made {
+    static MADE: OnceLock<Made> = OnceLock::new();
     MADE.get_or_init(|| {
         let (validity, request) = cut();
-        episode(stage(), &validity, &request).unwrap().0
+        episode(stage(), &validity, &request, &Difficulty::default()).unwrap()
     })
 }
 
@@ -65,25 +65,37 @@ fn trimesh(id: &str, transform: Affine3A) -> TriMesh {
 
 #[test]
 fn an_episode_keeps_its_promises() {
-    let e = made();
+    let Made { episode: e, statistics, .. } = made();
     e.validate(stage().catalogue(), stage().scenes()).unwrap();
+    e.check_statistics(statistics).unwrap();
     let (validity, request) = cut();
-    assert_eq!(e, &episode(stage(), &validity, &request).unwrap().0, "the same seed, another episode");
+    let again = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = again.install(|| episode(stage(), &validity, &request, &Difficulty::default()).unwrap());
+    assert_eq!(made(), &again, "the same seed, another episode");
+    assert_eq!(&stage().statistics(e).unwrap(), statistics, "counted anew, other statistics");
 
-    // The full renderer agrees with the statistics about the start.
+    // The full renderer agrees with the statistics about the start, and its amodal counts with those of the
+    // object alone.
     let world = World::load(e, stage()).unwrap();
-    let start = e.start().unwrap();
+    let (start, best) = (e.start().unwrap(), e.best().unwrap());
     let frame = world.render(start).unwrap();
     let visible = frame.instance.as_slice().iter().filter(|id| **id == e.target).count() as u32;
-    assert_eq!(visible, e.statistics[0].visible_px[start.index()]);
-    assert!((0.05..=0.6).contains(&e.statistics[0].fraction(start)));
-    assert!(e.statistics[0].well_seen(500, 0.8));
+    assert_eq!((visible, visible), (statistics[0].visible_px[start.index()], e.start_px));
+    let scene = stage().scene(&e.scene_id).unwrap();
+    let whole = stage().renderer(scene, &e.objects, false).unwrap();
+    for view in [start, best] {
+        let amodal = whole.amodal(&Ring::of(scene).camera(view), e.target);
+        let counted = (statistics[0].visible_px[view.index()], statistics[0].unoccluded_px[view.index()]);
+        assert_eq!((amodal.visible_px, amodal.unoccluded_px), counted);
+    }
+    assert!((0.05..=0.6).contains(&e.start_fraction));
+    assert!(statistics[0].well_seen(best, 500, 0.8));
 }
 
 #[test]
 fn things_rest_on_the_table_and_do_not_touch() {
     let table = &stage().scene("dev_kitchen").unwrap().table;
-    let e = made();
+    let e = &made().episode;
     let shapes: Vec<TriMesh> = e.objects.iter().map(|o| trimesh(&o.model_id, o.transform())).collect();
     for (a, o) in shapes.iter().zip(&e.objects) {
         let low = a.vertices().iter().map(|v| v.z).fold(f32::MAX, f32::min);
@@ -104,7 +116,7 @@ fn things_rest_on_the_table_and_do_not_touch() {
 #[test]
 fn broken_episodes_are_refused_by_name() {
     let complaint = |change: &dyn Fn(&mut Episode)| {
-        let mut e = made().clone();
+        let mut e = made().episode.clone();
         change(&mut e);
         e.validate(stage().catalogue(), stage().scenes()).unwrap_err().to_string()
     };
@@ -113,20 +125,68 @@ fn broken_episodes_are_refused_by_name() {
     assert!(complaint(&|e| e.target = 99).contains("target 99 is not among the objects"));
     assert!(complaint(&|e| e.scene_id = "dev_attic".into()).contains("unknown scene `dev_attic`"));
     assert!(complaint(&|e| e.distractor_ids.truncate(3)).contains("distractor_ids"));
-    assert!(complaint(&|e| e.statistics[0].visible_px.clear()).contains("108 views"));
+    assert!(complaint(&|e| e.start_fraction = 0.7).contains("the start view shows 0.700"));
+    assert!(complaint(&|e| e.best_px = 499).contains("499 pixels, expected at least 0.8 and 500"));
+    assert!(complaint(&|e| e.moves_to_good_view = 31).contains("1 to 30, found 31"));
+    assert!(complaint(&|e| e.query = "x".repeat(201)).contains("1 to 200 bytes, found 201"));
+    let newer =
+        serde_json::to_string(&made().episode).unwrap().replacen("\"schema_version\":2", "\"schema_version\":1", 1);
+    assert!(Episode::from_json(&newer).unwrap_err().to_string().contains("schema version 1, expected 2"));
+}
 
-    let folder = std::env::temp_dir().join(format!("fuse-episodes-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("e.json.gz");
-    episode::write(&path, std::slice::from_ref(made())).unwrap();
-    assert_eq!(episode::read(&path).unwrap(), [made().clone()]);
+#[test]
+fn statistics_that_do_not_fit_are_refused() {
+    let complaint = |change: &dyn Fn(&mut Vec<TargetStatistics>)| {
+        let mut statistics = made().statistics.clone();
+        change(&mut statistics);
+        made().episode.check_statistics(&statistics).unwrap_err().to_string()
+    };
+    assert!(complaint(&|s| s.clear()).contains("one to one"));
+    assert!(complaint(&|s| s[0].visible_px.truncate(3)).contains("must have 108 views, found [3, 108, 108]"));
+    assert!(complaint(&|s| s[0].pixels_max += 1).contains("pixels_max"));
+    assert!(complaint(&|s| s[0].visible_fraction[7] += 0.5).contains("view 7 shows"));
+    assert!(complaint(&|s| s[0].position_m[2] = f64::NAN).contains("finite"));
+    let start = made().episode.start().unwrap().index();
+    let fewer = complaint(&|s| {
+        s[0].unoccluded_px[start] *= 2;
+        s[0].visible_fraction[start] =
+            (f64::from(s[0].visible_px[start]) / f64::from(s[0].unoccluded_px[start]) * 1e4).round() / 1e4;
+    });
+    assert!(fewer.contains("start: the episode says"), "{fewer}");
+}
+
+#[test]
+fn files_are_whole_tied_together_and_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, other) = (folder.path().join("e.json.gz"), folder.path().join("o.json.gz"));
+    let set = |id: &str| {
+        let episode = Episode { episode_id: id.into(), ..made().episode.clone() };
+        EpisodeSet { schema_version: 2, generation: None, episodes: vec![episode] }
+    };
+    let witness = |id: &str| Witness { episode_id: id.into(), targets: made().statistics.clone() };
+    episode::write(&path, &set("a")).unwrap();
+    episode::write(&other, &set("b")).unwrap();
+    assert_eq!(episode::read(&path).unwrap(), set("a"));
+    let sidecar = episode::statistics_path(&path);
+    assert_eq!(sidecar, folder.path().join("e.statistics.json.gz"));
+    episode::write_statistics(&sidecar, &path, &[witness("a")]).unwrap();
+    assert_eq!(episode::read_statistics(&sidecar, &path).unwrap(), [witness("a")]);
+    let foreign = episode::read_statistics(&sidecar, &other).unwrap_err().to_string();
+    assert!(foreign.contains("belongs to another episode file: it names SHA-256"), "{foreign}");
+    episode::write_statistics(&sidecar, &path, &[witness("b")]).unwrap();
+    assert!(episode::read_statistics(&sidecar, &path).unwrap_err().to_string().contains("one to one"));
+
     let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(bytes[3..8], [0; 5], "the gzip header holds no name and no time");
+    episode::write(&path, &set("a")).unwrap();
+    assert_eq!(bytes, std::fs::read(&path).unwrap());
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert!(episode::read(&path).unwrap_err().to_string().contains("not a complete gzip file"));
     for (text, reason) in [
-        (&b"[]"[..], "expected an object with `schema_version` and `episodes`"),
+        (&b"[]"[..], "expected an object with `schema_version`, `generation` and `episodes`"),
         (b"\xff\xfe", "is not an episode file: expected value"),
-        (b"{\"schema_version\": 7, \"episodes\": []}", "e.json.gz has schema version 7, expected 1"),
+        (b"{\"schema_version\": 1, \"episodes\": []}", "e.json.gz has schema version 1, expected 2"),
+        (b"{\"schema_version\": 2, \"generation\": {}, \"episodes\": []}", "missing field `set`"),
         (&vec![b' '; (512 << 20) + 1], "unpacks to more than 512 MiB"),
     ] {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -135,10 +195,23 @@ fn broken_episodes_are_refused_by_name() {
         let error = episode::read(&path).unwrap_err().to_string();
         assert!(error.contains(reason), "{error}");
     }
-    std::fs::remove_dir_all(&folder).unwrap();
+}
 
-    let newer = serde_json::to_string(made()).unwrap().replacen("\"schema_version\":1", "\"schema_version\":2", 1);
-    assert!(Episode::from_json(&newer).unwrap_err().to_string().contains("schema version 2, expected 1"));
+/// Verbs and scenes come evenly, and a longer set begins like a shorter one.
+#[test]
+fn requests_are_even() {
+    let queries: BTreeMap<String, Vec<String>> =
+        ["cut", "pour", "wipe"].map(|v| (v.to_owned(), vec![format!("{v} it"), format!("please {v}")])).into();
+    let of = |count| requests(stage().scenes(), "some", Split::Dev, &queries, count, 9);
+    let made = of(31);
+    assert_eq!(made[..10], of(10)[..]);
+    let times = |pick: &dyn Fn(&Request) -> bool| made.iter().filter(|r| pick(r)).count();
+    for verb in queries.keys() {
+        assert!((10..=11).contains(&times(&|r| &r.verb == verb)), "{verb}");
+    }
+    let scenes: std::collections::BTreeSet<&str> = made.iter().map(|r| r.scene.as_str()).collect();
+    assert!(scenes.iter().all(|s| times(&|r| r.scene == *s).abs_diff(31 / scenes.len()) <= 1));
+    assert_eq!((made[30].episode_id.as_str(), times(&|r| r.query.contains(&r.verb))), ("some_0030", 31));
 }
 
 #[test]
@@ -146,7 +219,10 @@ fn unknown_verbs_and_impossible_targets_are_told_apart() {
     let (validity, mut request) = cut();
     request.verb = "fly".into();
     assert!(
-        episode(stage(), &validity, &request).unwrap_err().to_string().contains("unknown verb `fly`; known verbs: cut")
+        episode(stage(), &validity, &request, &Difficulty::default())
+            .unwrap_err()
+            .to_string()
+            .contains("unknown verb `fly`; known verbs: cut")
     );
     let exhausted = GenerateError::Exhausted {
         verb: "pour".into(),
@@ -156,9 +232,9 @@ fn unknown_verbs_and_impossible_targets_are_told_apart() {
     };
     assert_eq!(
         exhausted.to_string(),
-        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view where the \
-         target is partly hidden: 56, no room on the table: 4); another seed or scene may have one"
+        "no episode for `pour` in scene `dev_study` with seed 3: 60 layouts were thrown away (no view that \
+         hides the target enough: 56, no room on the table: 4); another seed or scene may have one"
     );
     let none = Validity::from([("fly".to_owned(), vec![])]);
-    assert!(matches!(episode(stage(), &none, &request), Err(GenerateError::NoTarget { .. })));
+    assert!(matches!(episode(stage(), &none, &request, &Difficulty::default()), Err(GenerateError::NoTarget { .. })));
 }

@@ -58,7 +58,7 @@ impl Dice {
     pub fn new(category: Category, split: Split, seed: u64) -> Self {
         let mut key = [0u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
-        key[8] = category as u8;
+        key[8] = Category::ALL.iter().position(|c| *c == category).unwrap_or(Category::ALL.len()) as u8;
         key[9] = split as u8;
         key[10..14].copy_from_slice(b"fuse");
         Self { rng: ChaCha8Rng::from_seed(key), split }

@@ -114,9 +114,34 @@ fn lowest(model: &Model, rotation: Quat) -> f32 {
     model.meshes.iter().flat_map(|m| &m.positions).map(|p| (rotation * *p).z).fold(f32::MAX, f32::min)
 }
 
+/// Points beyond which a model's are thinned before its hull is computed.
+const MANY_POINTS: usize = 20_000;
+/// Cells of the grid that thins them, along the longest side.
+const CELLS: f32 = 200.0;
+
+/// The convex hull of a model; of very many points, that of the farthest from the middle in each
+/// cell of a fine grid.
+pub(super) fn hull(model: &Model) -> Option<Hull> {
+    let points = || model.meshes.iter().flat_map(|m| m.positions.iter().copied());
+    if points().count() <= MANY_POINTS {
+        return Hull::new(points());
+    }
+    let (low, high) = model.bounds()?;
+    let (middle, cell) = ((low + high) / 2.0, (high - low).max_element().max(1e-6) / CELLS);
+    let mut kept: HashMap<[i32; 3], Vec3> = HashMap::new();
+    for p in points() {
+        let farthest = kept.entry(((p - low) / cell).to_array().map(|v| v as i32)).or_insert(p);
+        if p.distance_squared(middle) > farthest.distance_squared(middle) {
+            *farthest = p;
+        }
+    }
+    let mut kept: Vec<_> = kept.into_iter().collect();
+    kept.sort_by_key(|k| k.0);
+    Hull::new(kept.into_iter().map(|k| k.1))
+}
+
 fn hull_of(model: &Model) -> Option<(Hull, DVec3)> {
-    let hull = Hull::new(model.meshes.iter().flat_map(|m| m.positions.iter().copied()))?;
-    Some((hull, centre_of_mass(model)?.as_dvec3()))
+    Some((hull(model)?, centre_of_mass(model)?.as_dvec3()))
 }
 
 /// Stable poses of a model, most probable first; probabilities sum to 1. The pose nearest to
@@ -124,9 +149,23 @@ fn hull_of(model: &Model) -> Option<(Hull, DVec3)> {
 /// angles. A model that encloses no volume keeps its own pose.
 pub fn resting_poses(model: &Model, natural: f32) -> Vec<RestingPose> {
     let found = hull_of(model).map_or_else(Vec::new, |(hull, centre)| supports(&hull, centre));
-    let own = found.iter().position(|s| s.down.dot(DVec3::NEG_Z) > OWN.to_radians().cos());
+    poses(model, found, Some(f64::from(natural)))
+}
+
+/// Stable poses of a model with a given centre of mass, most probable first, each with the share of
+/// throws that end in it; shares sum to 1. With `natural`, the model's own pose has that share if it
+/// is stable. A model that spans no volume keeps its own pose.
+pub fn foreign_poses(model: &Model, centre: DVec3, natural: Option<f32>) -> Vec<RestingPose> {
+    let found = hull(model).map_or_else(Vec::new, |hull| supports(&hull, centre));
+    poses(model, found, natural.map(f64::from))
+}
+
+/// Records of supports; the model's own pose gets the share `natural`, if that is given.
+fn poses(model: &Model, found: Vec<Support>, natural: Option<f64>) -> Vec<RestingPose> {
+    let own =
+        found.iter().position(|s| s.down.dot(DVec3::NEG_Z) > OWN.to_radians().cos()).filter(|_| natural.is_some());
     let mut kept: Vec<(DVec3, f64)> = vec![];
-    let natural = f64::from(natural);
+    let natural = natural.unwrap_or(0.0);
     let others: f64 = found.iter().enumerate().filter(|&(i, _)| Some(i) != own).map(|(_, s)| s.share).sum();
     for (i, support) in found.iter().enumerate() {
         let share = match own {

@@ -83,6 +83,8 @@ pub const fn shapes(category: Category) -> Families {
         C::Flashlight => families(&["flared", "straight", "tactical"], &["long"], &["lantern", "ringed"]),
         C::Candle => families(&["pillar", "dripping", "chamberstick"], &["square"], &["jar", "spiral"]),
         C::Can => families(&["soup", "ribbed", "plain"], &["flat"], &["large", "tall"]),
+        // It has no generator.
+        C::Other(_) => families(&[], &[], &[]),
     }
 }
 

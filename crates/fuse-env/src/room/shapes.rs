@@ -30,7 +30,15 @@ impl Builder {
         mesh.positions.extend_from_slice(points);
         mesh.uvs.extend_from_slice(uvs);
         mesh.normals.extend(std::iter::repeat_n(normal, points.len()));
-        mesh.triangles.extend((1..points.len() as u32 - 1).map(|i| [first, first + i, first + i + 1]));
+        // Halves of halves: few long edges, so that most of a round plate is a handful of triangles.
+        let mut arcs = vec![(first, first + points.len() as u32 - 1)];
+        while let Some((a, b)) = arcs.pop() {
+            if b > a + 1 {
+                let middle = a.midpoint(b);
+                mesh.triangles.push([a, middle, b]);
+                arcs.extend([(a, middle), (middle, b)]);
+            }
+        }
     }
 
     /// A rectangle that shows the whole texture: corners counter-clockwise seen from the front,

@@ -24,13 +24,25 @@ pub(crate) struct Surface {
     pub roughness: f32,
 }
 
+/// A vertex, all in one place: half a cache line.
+#[derive(Clone, Copy)]
+#[repr(C, align(32))]
+pub(crate) struct Vertex {
+    pub position: Vec3,
+    /// Unit.
+    pub normal: Vec3,
+    pub uv: Vec2,
+}
+
 /// World-space triangles; vertex arrays are parallel, triangle arrays are parallel.
 pub(crate) struct Geometry {
     pub positions: Vec<Vec3>,
-    pub normals: Vec<Vec3>,
-    pub uvs: Vec<Vec2>,
+    /// The same with what is interpolated along.
+    pub vertices: Vec<Vertex>,
     pub triangles: Vec<[u32; 3]>,
     pub triangle_part: Vec<u32>,
+    /// Unit normals of the triangles, counter-clockwise side.
+    pub facets: Vec<Vec3A>,
     pub parts: Vec<Part>,
     pub surfaces: Vec<Surface>,
 }
@@ -44,10 +56,10 @@ impl Geometry {
         }
         let mut geometry = Self {
             positions: Vec::with_capacity(vertices),
-            normals: Vec::with_capacity(vertices),
-            uvs: Vec::with_capacity(vertices),
+            vertices: Vec::with_capacity(vertices),
             triangles: Vec::with_capacity(triangles),
             triangle_part: Vec::with_capacity(triangles),
+            facets: Vec::with_capacity(triangles),
             parts: Vec::new(),
             surfaces: Vec::new(),
         };
@@ -90,12 +102,19 @@ impl Geometry {
                 double_sided: model.materials[mesh.material].double_sided,
             });
             self.positions.extend(mesh.positions.iter().map(|&p| transform.transform_point3(p)));
-            self.normals.extend(mesh.normals.iter().map(|&n| (normal_matrix * n).normalize_or(Vec3::Z)));
-            self.uvs.extend_from_slice(&mesh.uvs);
+            let others = mesh.normals.iter().zip(&mesh.uvs);
+            self.vertices.extend(self.positions[first as usize..].iter().zip(others).map(|(&position, (&n, &uv))| {
+                Vertex { position, normal: (normal_matrix * n).normalize_or(Vec3::Z), uv }
+            }));
             // A mirroring transform turns triangles inside out.
             let order = if det > 0.0 { [0, 1, 2] } else { [0, 2, 1] };
             self.triangles.extend(mesh.triangles.iter().map(|t| order.map(|k| first + t[k])));
             self.triangle_part.extend(std::iter::repeat_n(part, mesh.triangles.len()));
+            let placed = &self.triangles[self.facets.len()..];
+            self.facets.extend(placed.iter().map(|t| {
+                let [a, b, c] = t.map(|v| Vec3A::from(self.positions[v as usize]));
+                (b - a).cross(c - a).normalize_or(Vec3A::Z)
+            }));
         }
         Ok(())
     }

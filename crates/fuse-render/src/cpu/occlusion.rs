@@ -6,10 +6,12 @@
 //! surface with normal `n` is `o0 / 2 + n · o1`, and the blocked share along a direction `d`
 //! is `o0 / 2 + 3/2 d · o1`.
 
+use fuse_camera::simd::{F32x8, I32x8};
 use glam::{DMat3, DVec3, UVec3, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::geometry::Geometry;
+use super::lanes::{V3, clamp, lerp};
 use super::shadow::inverse_depths;
 use super::transform::View;
 
@@ -38,8 +40,9 @@ pub(crate) struct Occlusion {
     pub high: Vec3A,
     pub cell: f32,
     pub size: UVec3,
-    /// `o0`, `o1` in [0, 1] and [-½, ½], as bytes.
-    pub cells: Vec<[u8; 4]>,
+    /// `o0`, `o1` in [0, 1] and [-½, ½], as bytes, `o0` the lowest. Rows begin and end with a copy of
+    /// their first and last cell, so that neighbours are read in one.
+    pub cells: Vec<u32>,
 }
 
 /// One direction's depth map.
@@ -60,13 +63,18 @@ impl Occlusion {
         let mut grid = Self { low: low.into(), high: high.into(), cell, size, cells: Vec::new() };
         let near_surface = grid.near_surface(geometry);
         let maps = grid.maps(geometry);
-        grid.cells = near_surface
+        let cells = near_surface
             .into_par_iter()
             .with_min_len(4096)
             .enumerate()
             .map(|(i, near)| if near { grid.blocked(&maps, grid.cell_center(i)) } else { OPEN })
             .collect();
-        grid.blur();
+        let cells = grid.blurred(cells);
+        grid.cells = cells
+            .chunks(size.x as usize)
+            .flat_map(|row| row.first().into_iter().chain(row).chain(row.last()))
+            .map(|cell| u32::from_le_bytes(*cell))
+            .collect();
         Some(grid)
     }
 
@@ -115,11 +123,11 @@ impl Occlusion {
     }
 
     /// Binomial blur along x and y, against the steps that few directions leave.
-    fn blur(&mut self) {
+    fn blurred(&self, mut cells: Vec<[u8; 4]>) -> Vec<[u8; 4]> {
         let (nx, ny) = (self.size.x as usize, self.size.y as usize);
         for (step, length) in [(1, nx), (nx, ny)] {
-            let source = self.cells.clone();
-            self.cells.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, cell)| {
+            let source = cells.clone();
+            cells.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, cell)| {
                 let k = i / step % length;
                 let before = if k > 0 { source[i - step] } else { *cell };
                 let after = if k + 1 < length { source[i + step] } else { *cell };
@@ -129,41 +137,84 @@ impl Occlusion {
                 });
             });
         }
+        cells
     }
 
     /// Blocked shares `(of the cosine hemisphere around the normal, along `direction`)`.
-    pub fn at(&self, position: Vec3A, normal: Vec3A, direction: Vec3A) -> (f32, f32) {
-        let p = position + normal * self.cell;
-        let border = (p - self.low).min(self.high - p).min_element();
-        if border <= 0.0 {
-            return (0.0, 0.0);
+    #[inline(always)]
+    pub(super) fn at<V: F32x8>(&self, position: V3<V>, normal: V3<V>, direction: V3<V>) -> (V, V) {
+        let p = position + normal.scale(V::splat(self.cell));
+        let (low, high) = (p - V3::splat(self.low), V3::splat(self.high) - p);
+        let border = low.x.min(low.y).min(low.z).min(high.x.min(high.y).min(high.z));
+        let inside = border.gt(V::zero());
+        if inside.mask_bits() == 0 {
+            return (V::zero(), V::zero());
         }
-        let o = self.trilinear((p - self.low) / self.cell - 0.5);
-        let (o0, o1) = (o.x, Vec3A::new(o.y, o.z, o.w));
-        let fade = (border / FADE).min(1.0);
-        let share = |v: f32| (GAIN * v).clamp(0.0, 1.0) * fade;
-        (share(0.5 * o0 + normal.dot(o1)), share(0.5 * o0 + 1.5 * direction.dot(o1)))
+        let half = V3::all(V::splat(0.5));
+        let [o0, x, y, z] = self.trilinear(low.scale(V::splat(1.0 / self.cell)) - half);
+        let o1 = V3 { x, y, z };
+        let fade = (border * V::splat(1.0 / FADE)).min(V::splat(1.0));
+        let half = o0 * V::splat(0.5);
+        let (sky, mirror) = (half + normal.dot(o1), half + V::splat(1.5) * direction.dot(o1));
+        let gain = V::splat(GAIN);
+        let (sky, mirror) = (clamp(gain * sky, 0.0, 1.0), clamp(gain * mirror, 0.0, 1.0));
+        ((sky * fade).and(inside), (mirror * fade).and(inside))
     }
 
-    fn trilinear(&self, at: Vec3A) -> Vec4 {
-        let top = self.size - 1;
-        let base = at.floor();
-        let f = at - base;
-        let low = base.as_ivec3();
-        let index = |k: i32, last: u32| k.clamp(0, last as i32) as usize;
-        let (nx, ny) = (self.size.x as usize, self.size.y as usize);
-        let (x0, x1) = (index(low.x, top.x), index(low.x + 1, top.x));
-        let row = |dy: i32, dz: i32| -> Vec4 {
-            let start = (index(low.z + dz, top.z) * ny + index(low.y + dy, top.y)) * nx;
-            let value = |x: usize| {
-                let [a, b, c, d] = self.cells[start + x];
-                Vec4::new(f32::from(a), f32::from(b), f32::from(c), f32::from(d))
-            };
-            value(x0).lerp(value(x1), f.x)
-        };
-        let plane = |dz: i32| row(0, dz).lerp(row(1, dz), f.y);
-        (plane(0).lerp(plane(1), f.z) - Vec4::new(0.0, 128.0, 128.0, 128.0)) * (1.0 / 255.0)
+    /// `o0` and `o1` at places in units of cells, the first cell's centre being 0.
+    #[inline(always)]
+    fn trilinear<V: F32x8>(&self, at: V3<V>) -> [V; 4] {
+        let up = (at.x + V::splat(1.0)).max(V::zero());
+        let x = up.to_int().min(V::Int::splat(self.size.x as i32));
+        let fx = up - x.to_float();
+        let (y0, y1, fy) = neighbours(at.y, self.size.y);
+        let (z0, z1, fz) = neighbours(at.z, self.size.z);
+        let (stride, ny) = (V::Int::splat(self.size.x as i32 + 2), V::Int::splat(self.size.y as i32));
+        let (top, bottom) = (z0 * ny, z1 * ny);
+        let low = mix(self.row((top + y0) * stride + x, fx), self.row((top + y1) * stride + x, fx), fy);
+        let high = mix(self.row((bottom + y0) * stride + x, fx), self.row((bottom + y1) * stride + x, fx), fy);
+        let mut out = mix(low, high, fz);
+        for (c, value) in out.iter_mut().enumerate() {
+            let offset = if c == 0 { 0.0 } else { 128.0 };
+            *value = (*value - V::splat(offset)) * V::splat(1.0 / 255.0);
+        }
+        out
     }
+
+    /// Between two cells of a row.
+    #[inline(always)]
+    fn row<V: F32x8>(&self, first: V::Int, t: V) -> [V; 4] {
+        let (a, b) = first.gather_pairs(&self.cells);
+        mix(bytes(a), bytes(b), t)
+    }
+}
+
+/// The two of `count` cells around `v` in units of cells, and the weight of the second.
+#[inline(always)]
+fn neighbours<V: F32x8>(v: V, count: u32) -> (V::Int, V::Int, V) {
+    // Places are above -1: adding 1 makes rounding towards zero a floor.
+    let up = (v + V::splat(1.0)).max(V::zero());
+    let whole = up.to_int();
+    let last = V::Int::splat(count as i32 - 1);
+    let low = (whole - V::Int::splat(1)).max(V::Int::splat(0)).min(last);
+    (low, whole.min(last), up - whole.to_float())
+}
+
+#[inline(always)]
+fn mix<V: F32x8>(a: [V; 4], b: [V; 4], t: V) -> [V; 4] {
+    [lerp(a[0], b[0], t), lerp(a[1], b[1], t), lerp(a[2], b[2], t), lerp(a[3], b[3], t)]
+}
+
+/// The bytes of a cell, the first lowest.
+#[inline(always)]
+fn bytes<V: F32x8>(cell: V::Int) -> [V; 4] {
+    let byte = V::Int::splat(255);
+    [
+        cell.and(byte).to_float(),
+        cell.shift_right::<8>().and(byte).to_float(),
+        cell.shift_right::<16>().and(byte).to_float(),
+        cell.shift_right::<24>().to_float(),
+    ]
 }
 
 /// Evenly spread over the upper hemisphere (golden-angle spiral, equal steps of height).

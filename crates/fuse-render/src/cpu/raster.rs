@@ -3,23 +3,23 @@
 //! Edge functions are evaluated in double precision at the corner of an 8×8 block and from there
 //! in single precision with the same operations whatever the triangle, so that two triangles
 //! that share an edge agree about every sample. Eight samples are tested at once: the eight of a
-//! pixel ([`Tile::draw_area`]) or the centres of eight pixels ([`Tile::draw_centers`],
-//! [`Mask::draw`]). No fused multiply-add is used, so every instruction set gives the same bits.
+//! pixel ([`Tile::draw_area`]) or the centres of eight pixels ([`Tile::draw_centers`]
+//! and [`super::mask`]). No fused multiply-add is used, so every instruction set gives the same bits.
 
 // Lanes run side by side through several arrays: indices say that better than zipped iterators.
 #![allow(clippy::needless_range_loop)]
 
-use fuse_camera::simd::{self, Level};
+use fuse_camera::simd::{self, F32x8, I32x8, Kernel};
 use glam::DVec3;
 
 use super::transform::{Setup, View};
 
 /// Tile size in pixels; a multiple of the block size.
-pub(super) const TILE_WIDTH: usize = 64;
+pub(super) const TILE_WIDTH: usize = 32;
 /// See [`TILE_WIDTH`].
 pub(super) const TILE_HEIGHT: usize = 16;
 /// Side of the blocks whose corners are evaluated in double precision.
-const BLOCK: usize = 8;
+pub(super) const BLOCK: usize = 8;
 /// Samples of a pixel, and pixels of a group.
 pub(crate) const LANES: usize = 8;
 
@@ -35,43 +35,41 @@ pub(crate) const SAMPLES: [[f32; 2]; LANES] = [
     [0.375, -0.4375],
 ];
 
+/// Largest offset of a sample along an axis, and a bit for rounding.
+const REACH: f32 = 0.44;
+
 type Lanes = [f32; LANES];
 
-/// Runs a kernel compiled for the level in use.
-macro_rules! dispatch {
-    ($level:expr, $portable:ident, $avx2:ident, $($argument:expr),*) => {
-        match $level {
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: these levels are reported only when the processor has AVX2.
-            Level::Avx2Fma | Level::Avx512 => unsafe { $avx2($($argument),*) },
-            _ => $portable($($argument),*),
-        }
-    };
-}
-
 /// Linear functions of one triangle at one block: value at the block's corner, and gradients.
-struct Planes {
+pub(super) struct Planes {
     value: [f32; 4],
     du: [f32; 4],
     dv: [f32; 4],
+    /// Whether every sample of the block is inside.
+    covers: bool,
+    /// Bounds of the inverse depth over the block.
+    low: f32,
+    high: f32,
 }
 
 impl Planes {
     /// Edges in 0..3, inverse depth in 3; `None` when no sample of the block can be inside.
     #[inline(always)]
-    fn at(setup: &Setup, x: usize, y: usize) -> Option<Self> {
+    pub fn at(setup: &Setup, x: usize, y: usize) -> Option<Self> {
         let (x, y) = (x as f64, y as f64);
         let rows = [setup.edges[0], setup.edges[1], setup.edges[2], setup.inverse_depth];
         let side = BLOCK as f32 * 1.0001;
-        let mut planes = Self { value: [0.0; 4], du: [0.0; 4], dv: [0.0; 4] };
+        let mut planes = Self { value: [0.0; 4], du: [0.0; 4], dv: [0.0; 4], covers: true, low: 0.0, high: 0.0 };
         let mut outside = false;
         for i in 0..4 {
             let r: DVec3 = rows[i];
             planes.value[i] = (r.x * x + r.y * y + r.z) as f32;
             planes.du[i] = r.x as f32;
             planes.dv[i] = r.y as f32;
-            let highest = planes.value[i] + side * (planes.du[i].max(0.0) + planes.dv[i].max(0.0));
-            outside |= highest < 0.0;
+            planes.high = planes.value[i] + side * (planes.du[i].max(0.0) + planes.dv[i].max(0.0));
+            planes.low = planes.value[i] + side * (planes.du[i].min(0.0) + planes.dv[i].min(0.0));
+            outside |= planes.high < 0.0;
+            planes.covers &= planes.low >= 0.0;
         }
         if outside { None } else { Some(planes) }
     }
@@ -88,28 +86,37 @@ impl Planes {
 
     /// Values at the centres of the eight pixels of the row `dy`.
     #[inline(always)]
-    fn centers(&self, dy: usize) -> [Lanes; 4] {
+    pub fn centers<V: F32x8>(&self, dy: usize) -> [V; 4] {
         let row = self.row(dy);
-        let mut out = [[0.0; LANES]; 4];
+        let x = V::load(&[0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5]);
+        let mut out = [V::zero(); 4];
         for i in 0..4 {
-            for s in 0..LANES {
-                out[i][s] = row[i] + self.du[i] * (s as f32 + 0.5);
-            }
+            out[i] = V::splat(row[i]) + V::splat(self.du[i]) * x;
         }
         out
     }
 
     /// What the samples of a pixel add to its centre's values.
     #[inline(always)]
-    fn sample_offsets(&self) -> [Lanes; 4] {
-        let mut out = [[0.0; LANES]; 4];
+    fn sample_offsets<V: F32x8>(&self) -> [V; 4] {
+        let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+        for s in 0..LANES {
+            (x[s], y[s]) = (SAMPLES[s][0], SAMPLES[s][1]);
+        }
+        let (x, y) = (V::load(&x), V::load(&y));
+        let mut out = [V::zero(); 4];
         for i in 0..4 {
-            for s in 0..LANES {
-                out[i][s] = self.du[i] * SAMPLES[s][0] + self.dv[i] * SAMPLES[s][1];
-            }
+            out[i] = V::splat(self.du[i]) * x + V::splat(self.dv[i]) * y;
         }
         out
     }
+}
+
+/// All bits where a point is inside of the three edges.
+#[inline(always)]
+pub(super) fn inside<V: F32x8>(e: &[V; 4]) -> V {
+    let zero = V::zero();
+    e[0].ge(zero).and(e[1].ge(zero)).and(e[2].ge(zero))
 }
 
 /// Which triangle is nearest at every sample of a tile.
@@ -122,7 +129,10 @@ pub(super) struct Tile {
     /// Index into the setups plus one; 0 where nothing was drawn.
     nearest: Vec<[u32; LANES]>,
     max_inverse_depth: f32,
-    level: Level,
+    /// Largest inverse depth of each pixel, centre mode; empty for that of the near plane.
+    limits: Vec<Lanes>,
+    /// For each block, an inverse depth that all its samples reach.
+    floor: [f32; TILE_WIDTH / BLOCK * (TILE_HEIGHT / BLOCK)],
 }
 
 impl Tile {
@@ -135,8 +145,22 @@ impl Tile {
             inverse_depth: vec![[0.0; LANES]; groups],
             nearest: vec![[0; LANES]; groups],
             max_inverse_depth: (1.0 / view.near) as f32,
-            level: simd::level(),
+            limits: Vec::new(),
+            floor: [0.0; TILE_WIDTH / BLOCK * (TILE_HEIGHT / BLOCK)],
         }
+    }
+
+    /// Hides what has a larger inverse depth than `limit` of the image's pixel, until the next
+    /// call; centre mode.
+    pub fn limit(&mut self, limit: impl Fn(usize, usize) -> f32) {
+        let groups = TILE_WIDTH / LANES;
+        let (x, y) = (self.x, self.y);
+        let row = |i: usize| (i % groups * LANES, i / groups);
+        self.limits.clear();
+        self.limits.extend((0..groups * TILE_HEIGHT).map(|i| {
+            let (dx, dy) = row(i);
+            std::array::from_fn(|s| limit(x + dx + s, y + dy))
+        }));
     }
 
     /// Empties the tile and moves its first pixel to `(x, y)`.
@@ -144,6 +168,7 @@ impl Tile {
         (self.x, self.y) = (x, y);
         self.inverse_depth.fill([0.0; LANES]);
         self.nearest.fill([0; LANES]);
+        self.floor.fill(0.0);
     }
 
     /// The samples of the pixel `(x, y)` of the image, area mode.
@@ -165,14 +190,34 @@ impl Tile {
         self.inverse_depth[row * groups..(row + 1) * groups].as_flattened()
     }
 
-    /// Draws all samples of every pixel; `key` is the setup's index plus one.
-    pub fn draw_area(&mut self, setup: &Setup, key: u32) {
-        dispatch!(self.level, area, area_avx2, self, setup, key);
+    /// Keys of one pixel row, centre mode.
+    pub fn center_keys(&self, row: usize) -> &[u32] {
+        let groups = TILE_WIDTH / LANES;
+        self.nearest[row * groups..(row + 1) * groups].as_flattened()
     }
 
-    /// Draws pixel centres only.
-    pub fn draw_centers(&mut self, setup: &Setup, key: u32) {
-        dispatch!(self.level, centers, centers_avx2, self, setup, key);
+    /// Draws all samples of every pixel. Keys are the places in `setups` plus one; of triangles at
+    /// the same depth the first one shows.
+    pub fn draw_area(&mut self, setups: &[Setup], list: &[u32]) {
+        simd::dispatch(simd::level(), Area { tile: self, setups, list });
+    }
+
+    /// Draws pixel centres only; see [`Tile::draw_area`].
+    pub fn draw_centers(&mut self, setups: &[Setup], list: &[u32]) {
+        simd::dispatch(simd::level(), Centers { tile: self, setups, list });
+    }
+
+    /// Whether a triangle may show in a block; remembers the depth that it gives the block.
+    #[inline(always)]
+    fn visits(&mut self, planes: &Planes, x: usize, y: usize) -> bool {
+        let block = (y - self.y) / BLOCK * (TILE_WIDTH / BLOCK) + (x - self.x) / BLOCK;
+        if planes.high < self.floor[block] {
+            return false;
+        }
+        if planes.covers && planes.high <= self.max_inverse_depth && self.limits.is_empty() {
+            self.floor[block] = self.floor[block].max(planes.low);
+        }
+        true
     }
 
     /// The part of the setup's bounds inside the tile: `x0, x1, y0, y1`, ends excluded.
@@ -187,112 +232,121 @@ impl Tile {
     }
 }
 
+/// Replaces what is no nearer, where `inside` is set.
 #[inline(always)]
-fn depth_test(z: &mut Lanes, nearest: &mut [u32; LANES], e: &[Lanes; 4], limit: f32, key: u32) {
-    for s in 0..LANES {
-        let inside = (e[0][s] >= 0.0) & (e[1][s] >= 0.0) & (e[2][s] >= 0.0) & (e[3][s] > z[s]) & (e[3][s] <= limit);
-        z[s] = if inside { e[3][s] } else { z[s] };
-        nearest[s] = if inside { key } else { nearest[s] };
+fn replace<V: F32x8>(z: &mut Lanes, nearest: &mut [u32; LANES], depth: V, inside: V, key: V::Int) {
+    let old = V::load(z);
+    let shows = inside.and(depth.ge(old));
+    depth.select(shows, old).store(z);
+    key.select(shows, V::Int::load(nearest)).store(nearest);
+}
+
+// No closures in kernels: they would not be compiled for the caller's instruction set. Lists are drawn from their end, where the nearest things of a scene usually
+// are (the room comes first), and a triangle replaces what is as near as it is.
+
+struct Area<'a> {
+    tile: &'a mut Tile,
+    setups: &'a [Setup],
+    list: &'a [u32],
+}
+
+impl Kernel for Area<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: F32x8>(self) {
+        for &s in self.list.iter().rev() {
+            area::<V>(self.tile, &self.setups[s as usize], s + 1);
+        }
     }
 }
 
-// The kernels are plain nested loops: closures would not be compiled for the caller's
-// instruction set.
-
 #[inline(always)]
-fn area(tile: &mut Tile, setup: &Setup, key: u32) {
+fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, key: u32) {
     let (x0, x1, y0, y1) = tile.clip(setup);
-    let limit = tile.max_inverse_depth;
+    let limit = V::splat(tile.max_inverse_depth);
+    let all = V::zero().ge(V::zero());
+    let key = V::Int::splat(key as i32);
     for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
         for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
             let Some(planes) = Planes::at(setup, bx, by) else { continue };
-            let offsets = planes.sample_offsets();
+            if !tile.visits(&planes, bx, by) {
+                continue;
+            }
+            let offsets = planes.sample_offsets::<V>();
+            let safe = planes.high <= tile.max_inverse_depth;
+            // How far an edge's value at a sample can be from that at the centre.
+            let mut margin = [V::zero(); 3];
+            for i in 0..3 {
+                margin[i] = V::splat((planes.du[i].abs() + planes.dv[i].abs()) * REACH);
+            }
             for y in by.max(y0)..(by + BLOCK).min(y1) {
-                let row = planes.row(y - by);
-                let first = (y - tile.y) * TILE_WIDTH;
-                for x in bx.max(x0)..(bx + BLOCK).min(x1) {
-                    let dx = (x - bx) as f32 + 0.5;
-                    let mut e = offsets;
-                    for i in 0..4 {
-                        let center = row[i] + planes.du[i] * dx;
-                        for s in 0..LANES {
-                            e[i][s] += center;
+                let e = planes.centers::<V>(y - by);
+                let (mut near, mut full) = (all, all);
+                for i in 0..3 {
+                    near = near.and((e[i] + margin[i]).ge(V::zero()));
+                    full = full.and(e[i].ge(margin[i]));
+                }
+                let mut pixels = near.mask_bits() & columns(bx, x0, x1);
+                let full = full.mask_bits();
+                let values = [e[0].to_array(), e[1].to_array(), e[2].to_array(), e[3].to_array()];
+                while pixels != 0 {
+                    let dx = pixels.trailing_zeros() as usize;
+                    pixels &= pixels - 1;
+                    let at = (y - tile.y) * TILE_WIDTH + (bx + dx - tile.x);
+                    let depth = offsets[3] + V::splat(values[3][dx]);
+                    let mut shows = all;
+                    if full >> dx & 1 == 0 {
+                        let mut e = offsets;
+                        for i in 0..3 {
+                            e[i] = offsets[i] + V::splat(values[i][dx]);
                         }
+                        shows = inside(&e);
                     }
-                    let at = first + (x - tile.x);
-                    depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+                    if !safe {
+                        shows = shows.and(limit.ge(depth));
+                    }
+                    replace(&mut tile.inverse_depth[at], &mut tile.nearest[at], depth, shows, key);
                 }
             }
         }
     }
 }
 
+struct Centers<'a> {
+    tile: &'a mut Tile,
+    setups: &'a [Setup],
+    list: &'a [u32],
+}
+
+impl Kernel for Centers<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: F32x8>(self) {
+        for &s in self.list.iter().rev() {
+            centers::<V>(self.tile, &self.setups[s as usize], s + 1);
+        }
+    }
+}
+
 #[inline(always)]
-fn centers(tile: &mut Tile, setup: &Setup, key: u32) {
+fn centers<V: F32x8>(tile: &mut Tile, setup: &Setup, key: u32) {
     let (x0, x1, y0, y1) = tile.clip(setup);
-    let limit = tile.max_inverse_depth;
+    let near = [tile.max_inverse_depth; LANES];
+    let key = V::Int::splat(key as i32);
     for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
         for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
             let Some(planes) = Planes::at(setup, bx, by) else { continue };
-            for y in by.max(y0)..(by + BLOCK).min(y1) {
-                let e = planes.centers(y - by);
-                let at = ((y - tile.y) * TILE_WIDTH + (bx - tile.x)) / LANES;
-                depth_test(&mut tile.inverse_depth[at], &mut tile.nearest[at], &e, limit, key);
+            if !tile.visits(&planes, bx, by) {
+                continue;
             }
-        }
-    }
-}
-
-/// Which pixel centres of an image a set of triangles covers: one bit a pixel.
-pub(super) struct Mask {
-    bytes_per_row: usize,
-    bits: Vec<u8>,
-    max_inverse_depth: f32,
-    level: Level,
-}
-
-impl Mask {
-    pub fn new(view: &View) -> Self {
-        let bytes_per_row = (view.width as usize).div_ceil(LANES);
-        Self {
-            bytes_per_row,
-            bits: vec![0; bytes_per_row * view.height as usize],
-            max_inverse_depth: (1.0 / view.near) as f32,
-            level: simd::level(),
-        }
-    }
-
-    pub fn draw(&mut self, setup: &Setup) {
-        dispatch!(self.level, mask, mask_avx2, self, setup);
-    }
-
-    /// Number of covered pixels.
-    pub fn count(&self) -> u32 {
-        self.bits.iter().map(|b| b.count_ones()).sum()
-    }
-}
-
-#[inline(always)]
-fn mask(mask: &mut Mask, setup: &Setup) {
-    let (x0, x1) = (setup.x0 as usize, setup.x1 as usize + 1);
-    let (y0, y1) = (setup.y0 as usize, setup.y1 as usize + 1);
-    for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
-        for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
-            let Some(planes) = Planes::at(setup, bx, by) else { continue };
-            // The bounds keep the bits beyond the image's right edge clear.
-            let valid = columns(bx, x0, x1);
             for y in by.max(y0)..(by + BLOCK).min(y1) {
-                let e = planes.centers(y - by);
-                let mut bits = 0u8;
-                for s in 0..LANES {
-                    let inside = (e[0][s] >= 0.0)
-                        & (e[1][s] >= 0.0)
-                        & (e[2][s] >= 0.0)
-                        & (e[3][s] > 0.0)
-                        & (e[3][s] <= mask.max_inverse_depth);
-                    bits |= u8::from(inside) << s;
-                }
-                mask.bits[y * mask.bytes_per_row + bx / LANES] |= bits & valid;
+                let e = planes.centers::<V>(y - by);
+                let at = ((y - tile.y) * TILE_WIDTH + (bx - tile.x)) / LANES;
+                let limit = V::load(tile.limits.get(at).unwrap_or(&near));
+                let shows = inside(&e).and(limit.ge(e[3]));
+                replace(&mut tile.inverse_depth[at], &mut tile.nearest[at], e[3], shows, key);
             }
         }
     }
@@ -300,26 +354,8 @@ fn mask(mask: &mut Mask, setup: &Setup) {
 
 /// Bits of the columns `[x0, x1)` in the group of eight that begins at `bx`.
 #[inline(always)]
-fn columns(bx: usize, x0: usize, x1: usize) -> u8 {
+pub(super) fn columns(bx: usize, x0: usize, x1: usize) -> u8 {
     let low = x0.saturating_sub(bx).min(LANES);
     let high = (x1 - bx).min(LANES);
     (((1u32 << high) - 1) & !((1u32 << low) - 1)) as u8
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn area_avx2(tile: &mut Tile, setup: &Setup, key: u32) {
-    area(tile, setup, key);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn centers_avx2(tile: &mut Tile, setup: &Setup, key: u32) {
-    centers(tile, setup, key);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn mask_avx2(m: &mut Mask, setup: &Setup) {
-    mask(m, setup);
 }

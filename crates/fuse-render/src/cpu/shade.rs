@@ -1,9 +1,12 @@
-//! Metal-rough shading of one surface point.
+//! Metal-rough shading of surface points, eight at a time.
 
-use glam::{DVec3, Vec2, Vec3A};
+use fuse_camera::simd::{F32x8, Kernel, Level, dispatch};
+use glam::Vec3A;
 
 use super::geometry::{Geometry, Surface};
+use super::lanes::{V3, clamp};
 use super::occlusion::Occlusion;
+use super::points::{Fragment, GROUP, Points};
 use super::shadow::Shadow;
 use super::transform::Setup;
 use crate::Light;
@@ -57,122 +60,133 @@ impl Lamp {
     }
 }
 
-/// Ready to interpolate over one triangle: attributes times `1 / z` are linear over the image.
-pub(super) struct Shader<'a> {
-    geometry: &'a Geometry,
-    shading: &'a Shading,
-    eye: Vec3A,
-    /// Key of the triangle that the planes belong to; 0 for none.
-    key: u32,
-    /// Image coordinates at which `value` holds.
-    origin: (f64, f64),
-    planes: Planes,
-    surface: usize,
+/// Shades fragments: `colors` are display-linear, as many as `fragments`, which come in whole groups.
+///
+/// One step after the other for all groups: the groups of a step do not wait for one another, so
+/// that the processor works on several at a time.
+pub(super) struct Shade<'a> {
+    pub geometry: &'a Geometry,
+    pub shading: &'a Shading,
+    pub setups: &'a [Setup],
+    pub eye: Vec3A,
+    pub fragments: &'a [Fragment],
+    pub colors: &'a mut [Vec3A],
+    pub groups: &'a mut Vec<Group>,
 }
 
-/// Value, and change along image x and y, of the weights' sum and of each attribute times it.
-#[derive(Default)]
-struct Planes {
-    sum: [f32; 3],
-    position: [Vec3A; 3],
-    normal: [Vec3A; 3],
-    uv: [Vec2; 3],
-    facet: Vec3A,
+/// What is known of eight points.
+#[derive(Clone, Default)]
+pub(super) struct Group {
+    points: Points,
+    base: [[f32; GROUP]; 3],
+    /// Blocked shares of the sky and of the mirrored direction.
+    hidden: [[f32; GROUP]; 2],
+    /// Share of the lamp.
+    visible: [f32; GROUP],
 }
 
-/// A surface point seen through a pixel.
-struct Point<'a> {
-    position: Vec3A,
-    /// Unit, towards the viewer's side.
-    normal: Vec3A,
-    /// Of the triangle, towards the viewer's side.
-    facet: Vec3A,
-    /// Unit, towards the eye.
-    view: Vec3A,
-    uv: Vec2,
-    du: Vec2,
-    dv: Vec2,
-    surface: &'a Surface,
-}
+impl Kernel for Shade<'_> {
+    type Output = ();
 
-impl Planes {
-    fn new(geometry: &Geometry, setup: &Setup, (u, v): (f64, f64)) -> Self {
-        let t = geometry.triangles[setup.triangle as usize].map(|v| v as usize);
-        let at = DVec3::new(u, v, 1.0);
-        // The common factor keeps single precision in range.
-        let total = setup.edges[0] + setup.edges[1] + setup.edges[2];
-        let scale = 1.0 / total.dot(at);
-        let mut planes = Self::default();
-        for (i, &v) in t.iter().enumerate() {
-            let e = setup.edges[i];
-            let weights = [e.dot(at) * scale, e.x * scale, e.y * scale].map(|w| w as f32);
-            let (p, n) = (Vec3A::from(geometry.positions[v]), Vec3A::from(geometry.normals[v]));
-            let uv = geometry.uvs[v];
-            for (k, w) in weights.into_iter().enumerate() {
-                planes.position[k] += p * w;
-                planes.normal[k] += n * w;
-                planes.uv[k] += uv * w;
+    #[inline(always)]
+    fn run<V: F32x8>(self) {
+        let fragments = self.fragments.as_chunks::<GROUP>().0;
+        if self.groups.len() < fragments.len() {
+            self.groups.resize(fragments.len(), Group::default());
+        }
+        let groups = &mut self.groups[..fragments.len()];
+        let surfaces = &self.geometry.surfaces;
+        for (group, fragments) in groups.iter_mut().zip(fragments) {
+            group.points.fill::<V>(self.geometry, self.setups, fragments);
+            group.points.face::<V>(self.eye);
+        }
+        for group in groups.iter_mut() {
+            base_color::<V>(&surfaces[group.points.surface], &group.points).store(&mut group.base);
+        }
+        if let Some(occlusion) = &self.shading.occlusion {
+            for group in groups.iter_mut() {
+                let seen = Seen::<V>::new(&group.points);
+                let (sky, mirror) = occlusion.at(seen.position, seen.normal, seen.reflection());
+                sky.store(&mut group.hidden[0]);
+                mirror.store(&mut group.hidden[1]);
             }
         }
-        planes.sum = [1.0, (total.x * scale) as f32, (total.y * scale) as f32];
-        let p = t.map(|v| Vec3A::from(geometry.positions[v]));
-        planes.facet = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or(Vec3A::Z);
-        planes
+        if let Some(shadow) = &self.shading.shadow {
+            for group in groups.iter_mut() {
+                let seen = Seen::<V>::new(&group.points);
+                let lit = self.shading.light.reaches(&seen);
+                shadow.visibility(seen.position, seen.facet, lit).store(&mut group.visible);
+            }
+        }
+        for (group, colors) in groups.iter().zip(self.colors.as_chunks_mut::<GROUP>().0) {
+            let radiance = self.shading.reflected::<V>(group, &surfaces[group.points.surface]);
+            let mut out = [[0.0; GROUP]; 3];
+            self.shading.display(radiance).store(&mut out);
+            for (i, color) in colors.iter_mut().enumerate() {
+                *color = Vec3A::new(out[0][i], out[1][i], out[2][i]);
+            }
+        }
     }
 }
 
-impl<'a> Shader<'a> {
-    pub fn new(geometry: &'a Geometry, shading: &'a Shading, eye: Vec3A) -> Self {
-        Self { geometry, shading, eye, key: 0, origin: (0.0, 0.0), planes: Planes::default(), surface: 0 }
+/// Linear base colours of eight points.
+#[inline(always)]
+fn base_color<V: F32x8>(surface: &Surface, points: &Points) -> V3<V> {
+    let color = V3::splat(surface.base);
+    match &surface.texture {
+        Some(texture) => color * texture.sample(pair(&points.uv), pair(&points.du), pair(&points.dv)),
+        None => color,
+    }
+}
+
+#[inline(always)]
+fn pair<V: F32x8>(p: &[[f32; GROUP]; 2]) -> [V; 2] {
+    [V::load(&p[0]), V::load(&p[1])]
+}
+
+/// Where eight points are and how they are turned.
+struct Seen<V> {
+    position: V3<V>,
+    /// Unit, towards the viewer's side.
+    normal: V3<V>,
+    /// Of the triangle, towards the viewer's side.
+    facet: V3<V>,
+    /// Unit, towards the eye.
+    view: V3<V>,
+}
+
+impl<V: F32x8> Seen<V> {
+    #[inline(always)]
+    fn new(points: &Points) -> Self {
+        Self {
+            position: V3::load(&points.position),
+            normal: V3::load(&points.normal),
+            facet: V3::load(&points.facet),
+            view: V3::load(&points.view),
+        }
     }
 
-    /// Forgets the triangle; to be called for each tile, so that results do not depend on which
-    /// tile was shaded before.
-    pub fn reset(&mut self) {
-        self.key = 0;
+    /// The direction that a mirror would show.
+    #[inline(always)]
+    fn reflection(&self) -> V3<V> {
+        self.normal.scale(V::splat(2.0) * self.normal.dot(self.view)) - self.view
+    }
+}
+
+impl Lamp {
+    /// Unit directions to the lamp, and distances squared.
+    #[inline(always)]
+    fn from<V: F32x8>(&self, position: V3<V>) -> (V3<V>, V) {
+        let to_light = V3::splat(self.position) - position;
+        let distance2 = to_light.dot(to_light).max(V::splat(1e-4));
+        (to_light.scale(V::splat(1.0) / distance2.sqrt()), distance2)
     }
 
-    /// Display-linear colour of a triangle at pixel `(x, y)` plus `(dx, dy)`; `key` tells
-    /// triangles of one view apart and is never 0.
-    pub fn color(&mut self, setup: &Setup, key: u32, (x, y): (usize, usize), dx: f32, dy: f32) -> Vec3A {
-        if key != self.key {
-            self.origin = (x as f64 + 0.5 + f64::from(dx), y as f64 + 0.5 + f64::from(dy));
-            self.planes = Planes::new(self.geometry, setup, self.origin);
-            let part = self.geometry.triangle_part[setup.triangle as usize];
-            self.surface = self.geometry.parts[part as usize].surface as usize;
-            self.key = key;
-        }
-        let du = (x as f64 + 0.5 - self.origin.0) as f32 + dx;
-        let dv = (y as f64 + 0.5 - self.origin.1) as f32 + dy;
-        let p = self.point(du, dv);
-        let mut base = p.surface.base;
-        if let Some(texture) = &p.surface.texture {
-            base *= texture.sample(p.uv, p.du, p.dv);
-        }
-        self.shading.display(self.shading.reflected(&p, base))
-    }
-
-    #[inline]
-    fn point(&self, du: f32, dv: f32) -> Point<'a> {
-        let l = &self.planes;
-        let inverse = 1.0 / (l.sum[0] + l.sum[1] * du + l.sum[2] * dv);
-        let position = (l.position[0] + l.position[1] * du + l.position[2] * dv) * inverse;
-        let normal = l.normal[0] + l.normal[1] * du + l.normal[2] * dv;
-        let uv = (l.uv[0] + l.uv[1] * du + l.uv[2] * dv) * inverse;
-        let to_eye = self.eye - position;
-        // Back faces of double-sided surfaces are lit like front faces.
-        let side = if l.facet.dot(to_eye) < 0.0 { -1.0 } else { 1.0 };
-        let facet = l.facet * side;
-        Point {
-            position,
-            normal: normal.normalize_or(l.facet) * side,
-            facet,
-            view: to_eye.normalize_or(facet),
-            uv,
-            du: (l.uv[1] - uv * l.sum[1]) * inverse,
-            dv: (l.uv[2] - uv * l.sum[2]) * inverse,
-            surface: &self.geometry.surfaces[self.surface],
-        }
+    /// Which points face the lamp.
+    #[inline(always)]
+    fn reaches<V: F32x8>(&self, p: &Seen<V>) -> V {
+        let to_light = V3::splat(self.position) - p.position;
+        p.normal.dot(to_light).gt(V::zero()).and(p.facet.dot(to_light).gt(V::zero()))
     }
 }
 
@@ -182,99 +196,134 @@ impl Shading {
     }
 
     /// Radiance towards the viewer.
-    fn reflected(&self, p: &Point<'_>, base: Vec3A) -> Vec3A {
-        let (metallic, roughness) = (p.surface.metallic, p.surface.roughness);
-        let f0 = Vec3A::splat(0.04).lerp(base, metallic);
-        let diffuse = base * (1.0 - metallic);
-        let nv = p.normal.dot(p.view).max(1e-3);
-        let reflection = p.normal * (2.0 * p.normal.dot(p.view)) - p.view;
-        let blocked = self.occlusion.as_ref().map(|o| o.at(p.position, p.normal, reflection));
-        let (hidden, hidden_mirror) = blocked.unwrap_or_default();
-        let ambient = diffuse * self.irradiance(p.normal) * (1.0 - hidden)
-            + environment_brdf(f0, roughness, nv) * self.surroundings(reflection, roughness) * (1.0 - hidden_mirror);
-        ambient + self.key(p, diffuse, f0, nv, roughness)
+    #[inline(always)]
+    fn reflected<V: F32x8>(&self, group: &Group, surface: &Surface) -> V3<V> {
+        let one = V::splat(1.0);
+        let p = Seen::<V>::new(&group.points);
+        let (metallic, roughness) = (V::splat(surface.metallic), V::splat(surface.roughness));
+        let base = V3::load(&group.base);
+        let f0 = V3::all(V::splat(0.04)).lerp(base, metallic);
+        let diffuse = base.scale(one - metallic);
+        let nv = p.normal.dot(p.view).max(V::splat(1e-3));
+        let [hidden, hidden_mirror] = pair(&group.hidden);
+        let mirror = environment_brdf(f0, roughness, nv) * self.surroundings(p.reflection(), roughness);
+        let ambient = (diffuse * self.irradiance(p.normal)).scale(one - hidden) + mirror.scale(one - hidden_mirror);
+        let visible = if self.shadow.is_some() { V::load(&group.visible) } else { one };
+        ambient + self.key(&p, diffuse, f0, nv, roughness, visible)
     }
 
     /// Light from the key lamp: Lambert and GGX, the lamp's size widening the highlight.
-    fn key(&self, p: &Point<'_>, diffuse: Vec3A, f0: Vec3A, nv: f32, roughness: f32) -> Vec3A {
-        let to_light = self.light.position - p.position;
-        let distance2 = to_light.length_squared().max(1e-4);
-        let l = to_light / distance2.sqrt();
+    #[inline(always)]
+    fn key<V: F32x8>(&self, p: &Seen<V>, diffuse: V3<V>, f0: V3<V>, nv: V, roughness: V, visible: V) -> V3<V> {
+        let (zero, one) = (V::zero(), V::splat(1.0));
+        let lit = self.light.reaches(p);
+        if lit.mask_bits() == 0 {
+            return V3::all(zero);
+        }
+        let (l, distance2) = self.light.from(p.position);
+        let distance = distance2.sqrt();
         let nl = p.normal.dot(l);
-        if nl <= 0.0 || p.facet.dot(l) <= 0.0 {
-            return Vec3A::ZERO;
-        }
-        let visible = self.shadow.as_ref().map_or(1.0, |s| s.visibility(p.position, p.facet));
-        if visible <= 0.0 {
-            return Vec3A::ZERO;
-        }
         let h = (l + p.view).normalize_or(p.normal);
-        let (nh, vh) = (p.normal.dot(h).clamp(0.0, 1.0), p.view.dot(h).clamp(0.0, 1.0));
+        let (nh, vh) = (clamp(p.normal.dot(h), 0.0, 1.0), clamp(p.view.dot(h), 0.0, 1.0));
         let alpha = roughness * roughness;
-        let wide = (alpha + 0.5 * self.light.radius / distance2.sqrt()).min(1.0);
+        let wide = (alpha + V::splat(0.5 * self.light.radius) / distance).min(one);
         let a2 = wide * wide;
-        let d = nh * nh * (a2 - 1.0) + 1.0;
+        let d = nh * nh * (a2 - one) + one;
         // GGX times π, since `intensity` is over π.
-        let distribution = a2 / (d * d).max(1e-8);
-        let k = alpha * 0.5;
-        let visibility = 0.25 / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
-        let f = (1.0 - vh) * (1.0 - vh);
-        let fresnel = f0 + (Vec3A::ONE - f0) * (f * f * (1.0 - vh));
-        (diffuse + fresnel * (distribution * visibility)) * self.light.intensity * (visible * nl / distance2)
+        let distribution = a2 / (d * d).max(V::splat(1e-8));
+        let k = alpha * V::splat(0.5);
+        let visibility = V::splat(0.25) / ((nl * (one - k) + k) * (nv * (one - k) + k)).max(V::splat(1e-12));
+        let f = (one - vh) * (one - vh);
+        let fresnel = f0 + (V3::all(one) - f0).scale(f * f * (one - vh));
+        let reflected = diffuse + fresnel.scale(distribution * visibility);
+        let strength = (visible * nl / distance2).and(lit);
+        reflected * V3::splat(self.light.intensity).scale(strength)
     }
 
-    /// Ambient irradiance over π on a surface with this normal.
-    fn irradiance(&self, n: Vec3A) -> Vec3A {
-        let mut sum = self.light.ground.lerp(self.light.sky, 0.5 + 0.5 * n.z);
+    /// Ambient irradiance over π on surfaces with these normals.
+    #[inline(always)]
+    fn irradiance<V: F32x8>(&self, n: V3<V>) -> V3<V> {
+        let half = V::splat(0.5);
+        let mut sum = V3::splat(self.light.ground).lerp(V3::splat(self.light.sky), half + half * n.z);
         for b in &self.light.soft_boxes {
             // The patch's solid angle is 2π/s (1 - 1/(1 + 2s)) ≈ 2π/s; the cosine is wrapped.
-            let c = (0.5 + 0.5 * n.dot(b.direction)).max(0.0);
-            sum += b.color * (2.0 / (1.0 + b.sharpness) * c * c);
+            let c = (half + half * n.dot(V3::splat(b.direction))).max(V::zero());
+            sum = sum + V3::splat(b.color * (2.0 / (1.0 + b.sharpness))).scale(c * c);
         }
         sum
     }
 
-    /// Ambient radiance from a direction, blurred as a surface of this roughness sees it.
-    fn surroundings(&self, d: Vec3A, roughness: f32) -> Vec3A {
-        let t = (0.5 + d.z / (0.3 + 1.7 * roughness)).clamp(0.0, 1.0);
-        let mut sum = self.light.ground.lerp(self.light.sky, t * t * (3.0 - 2.0 * t));
+    /// Ambient radiance from directions, blurred as surfaces of this roughness see it.
+    #[inline(always)]
+    fn surroundings<V: F32x8>(&self, d: V3<V>, roughness: V) -> V3<V> {
+        let one = V::splat(1.0);
+        let t = clamp(V::splat(0.5) + d.z / (V::splat(0.3) + V::splat(1.7) * roughness), 0.0, 1.0);
+        let sky = V3::splat(self.light.sky);
+        let mut sum = V3::splat(self.light.ground).lerp(sky, t * t * (V::splat(3.0) - V::splat(2.0) * t));
         // Walls are brighter than floor and ceiling, which see the lamp at a steeper angle.
-        let level = 1.0 - d.z * d.z;
-        sum += self.light.sky * (0.7 * level * level);
+        let level = one - d.z * d.z;
+        sum = sum + sky.scale(V::splat(0.7) * level * level);
         let a = roughness * roughness;
         for b in &self.light.soft_boxes {
-            let s = b.sharpness / (1.0 + b.sharpness * a);
-            let lobe = 1.0 / (1.0 + s * (1.0 - d.dot(b.direction)));
-            sum += b.color * (lobe * lobe * (1.0 + s) / (1.0 + b.sharpness));
+            let sharpness = V::splat(b.sharpness);
+            let s = sharpness / (one + sharpness * a);
+            let lobe = one / (one + s * (one - d.dot(V3::splat(b.direction))));
+            sum = sum + V3::splat(b.color / (1.0 + b.sharpness)).scale(lobe * lobe * (one + s));
         }
         sum
     }
 
     /// Exposure and tone curve: neutral below 0.76, smooth shoulder above (Khronos PBR neutral,
     /// without its toe), in [0, 1].
-    pub fn display(&self, radiance: Vec3A) -> Vec3A {
-        let c = radiance * self.light.exposure;
+    #[inline(always)]
+    fn display<V: F32x8>(&self, radiance: V3<V>) -> V3<V> {
+        let (zero, one) = (V::zero(), V::splat(1.0));
+        let c = radiance.scale(V::splat(self.light.exposure));
         let peak = c.max_element();
-        if peak < TONE_START {
-            return c.max(Vec3A::ZERO);
+        let low = V3 { x: c.x.max(zero), y: c.y.max(zero), z: c.z.max(zero) };
+        let bright = peak.ge(V::splat(TONE_START));
+        if bright.mask_bits() == 0 {
+            return low;
         }
-        let d = 1.0 - TONE_START;
-        let new_peak = 1.0 - d * d / (peak + d - TONE_START);
-        let g = 1.0 - 1.0 / (TONE_DESATURATION * (peak - new_peak) + 1.0);
-        (c * (new_peak / peak)).lerp(Vec3A::splat(new_peak), g).clamp(Vec3A::ZERO, Vec3A::ONE)
+        let d = V::splat(1.0 - TONE_START);
+        let new_peak = one - d * d / (peak.max(V::splat(TONE_START)) + d - V::splat(TONE_START));
+        let g = one - one / (V::splat(TONE_DESATURATION) * (peak - new_peak).max(zero) + one);
+        let high = c.scale(new_peak / peak.max(V::splat(TONE_START))).lerp(V3::all(new_peak), g);
+        let high = V3 { x: clamp(high.x, 0.0, 1.0), y: clamp(high.y, 0.0, 1.0), z: clamp(high.z, 0.0, 1.0) };
+        high.select(bright, low)
+    }
+
+    /// The same for one colour.
+    pub fn display_one(&self, radiance: Vec3A) -> Vec3A {
+        struct Display<'a>(&'a Shading, Vec3A);
+        impl Kernel for Display<'_> {
+            type Output = Vec3A;
+            #[inline(always)]
+            fn run<V: F32x8>(self) -> Vec3A {
+                let c = self.0.display(V3::<V>::splat(self.1));
+                Vec3A::new(c.x.to_array()[0], c.y.to_array()[0], c.z.to_array()[0])
+            }
+        }
+        dispatch(Level::Portable, Display(self, radiance))
     }
 }
 
 /// Split-sum environment reflectance, analytic fit (Karis, "Physically based shading on
 /// mobile", 2014).
-fn environment_brdf(f0: Vec3A, roughness: f32, nv: f32) -> Vec3A {
-    let r = [-roughness + 1.0, -0.0275 * roughness + 0.0425, -0.572 * roughness + 1.04, 0.022 * roughness - 0.04];
-    let (a, edge) = (r[0] * r[0], 1.0 - nv);
+#[inline(always)]
+fn environment_brdf<V: F32x8>(f0: V3<V>, roughness: V, nv: V) -> V3<V> {
+    let r = [
+        V::splat(1.0) - roughness,
+        roughness * V::splat(-0.0275) + V::splat(0.0425),
+        roughness * V::splat(-0.572) + V::splat(1.04),
+        roughness * V::splat(0.022) - V::splat(0.04),
+    ];
+    let (a, edge) = (r[0] * r[0], V::splat(1.0) - nv);
     // The fit's 2^(-9.28 nv) is replaced by (1 - nv)⁵: no library call, the same bits anywhere.
     let edge = edge * edge * edge * edge * edge;
     let a004 = a.min(edge) * r[0] + r[1];
-    let (scale, bias) = (-1.04 * a004 + r[2], 1.04 * a004 + r[3]);
-    f0 * scale + Vec3A::splat(bias)
+    let (scale, bias) = (V::splat(-1.04) * a004 + r[2], V::splat(1.04) * a004 + r[3]);
+    f0.scale(scale) + V3::all(bias)
 }
 
 /// Linear [0, 1] to sRGB bytes.
@@ -292,8 +341,10 @@ impl SrgbTable {
         Self((0..Self::SIZE).map(byte).collect())
     }
 
+    #[inline]
     pub fn encode(&self, c: Vec3A) -> [u8; 3] {
         let c = c * (Self::SIZE - 1) as f32 + Vec3A::splat(0.5);
-        c.to_array().map(|v| self.0[(v as usize).min(Self::SIZE - 1)])
+        let byte = |v: f32| self.0[(v as usize).min(Self::SIZE - 1)];
+        [byte(c.x), byte(c.y), byte(c.z)]
     }
 }

@@ -111,6 +111,9 @@ impl View {
 
     #[inline]
     fn setup(&self, q: [Vertex; 3], triangle: u32, double_sided: bool, sampling: Sampling) -> Option<Setup> {
+        if !double_sided && self.turned_away(&q) {
+            return None;
+        }
         let (x0, x1, y0, y1) = self.pixel_bounds(&q, sampling)?;
         let p = [q[0].p, q[1].p, q[2].p];
         let n = [p[1].cross(p[2]), p[2].cross(p[0]), p[0].cross(p[1])];
@@ -122,6 +125,15 @@ impl View {
         let edges = if det < 0.0 { [-n[0], -n[1], -n[2]] } else { n };
         let inverse_depth = (edges[0] + edges[1] + edges[2]) / det.abs();
         Some(Setup { edges, inverse_depth, x0, x1, y0, y1, triangle })
+    }
+
+    /// Whether a triangle in front of the camera is seen from behind, without doubt.
+    #[inline]
+    fn turned_away(&self, [a, b, c]: &[Vertex; 3]) -> bool {
+        let (abx, aby, acx, acy) = (b.u - a.u, b.v - a.v, c.u - a.u, c.v - a.v);
+        // Positive areas are clockwise in the picture, where v grows downwards.
+        let area = abx * acy - aby * acx;
+        area > 1e-6 && a.p.z.min(b.p.z).min(c.p.z) >= self.near
     }
 
     /// Inclusive pixel bounds; `None` when no sample of the image can be covered.

@@ -9,6 +9,13 @@ struct Map {
     radius: f32,
     first_level: u32,
     level_count: u32,
+    /// First words of the two layers in `texels`, and texels along their side.
+    layers: vec2u,
+    layer_side: u32,
+    /// Layer texels for each texel of the map.
+    layer_scale: f32,
+    /// Inverse depth that the largest fixed-point value stands for.
+    layer_nearest: f32,
 }
 
 struct Light {

@@ -4,7 +4,8 @@
 @group(0) @binding(10) var cells: texture_3d<f32>;
 
 fn occlusion_cell(at: vec3i) -> vec4f {
-    return textureLoad(cells, clamp(at, vec3i(0), vec3i(light.size) - 1), 0);
+    // Rows begin and end with a copy of their first and last cell.
+    return textureLoad(cells, clamp(at, vec3i(0), vec3i(light.size) - 1) + vec3i(1, 0, 0), 0);
 }
 
 fn occlusion_trilinear(at: vec3f) -> vec4f {

@@ -4,6 +4,7 @@
 //! GPU stack at all.
 
 use crate::cpu::raster::{LANES, SAMPLES};
+use crate::cpu::shadow::baked;
 use crate::cpu::{occlusion, shade, shadow, texture};
 
 /// Most shadow maps: a fine one and a coarse one.
@@ -39,6 +40,7 @@ pub const RESOLVE_PIXELS: Stage = Stage {
         CENTERS,
         include_str!("light.wgsl"),
         include_str!("texture.wgsl"),
+        include_str!("shadow/baked.wgsl"),
         include_str!("shadow.wgsl"),
         include_str!("occlusion.wgsl"),
         include_str!("shade.wgsl"),
@@ -66,7 +68,16 @@ impl Stage {
 fn constants() -> String {
     let numbers = [
         ("MAX_TAPS", texture::MAX_TAPS),
+        ("TAP_ASPECT", texture::ASPECT),
+        ("TAP_STRETCH", texture::STRETCH),
+        ("LEVEL_ALONE", texture::ALONE),
+        ("TEXEL_ONE", texture::ONE),
+        ("SHADOW_NEAREST", shadow::NEAREST),
+        ("SHADOW_STEEPEST", shadow::STEEPEST),
         ("SHADOW_BIAS", shadow::BIAS),
+        ("SHADOW_ON", baked::ON),
+        ("SHADOW_STEPS", baked::STEPS),
+        ("SHADOW_ENOUGH", baked::ENOUGH),
         ("MAX_DISC", shadow::MAX_DISC),
         ("OCCLUSION_GAIN", occlusion::GAIN),
         ("OCCLUSION_FADE", occlusion::FADE),
@@ -74,7 +85,16 @@ fn constants() -> String {
         ("TONE_DESATURATION", shade::TONE_DESATURATION),
         ("SRGB_STEPS", (shade::SrgbTable::SIZE - 1) as f32),
     ];
-    let mut out = format!("const LANES: u32 = {LANES}u;\nconst SHADOW_MAPS: u32 = {SHADOW_MAPS}u;\n");
+    let counts = [
+        ("LANES", LANES as u32),
+        ("SHADOW_MAPS", SHADOW_MAPS as u32),
+        ("TEXEL_SQUARE", texture::SQUARE),
+        ("TEXEL_ROW", texture::ROW),
+    ];
+    let mut out = String::new();
+    for (name, value) in counts {
+        out.push_str(&format!("const {name}: u32 = {value}u;\n"));
+    }
     for (name, value) in numbers {
         out.push_str(&format!("const {name}: f32 = {value:?}f;\n"));
     }

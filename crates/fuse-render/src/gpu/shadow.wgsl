@@ -1,7 +1,7 @@
 // Soft shadow of the key light; twin of `Shadow::visibility`, from the CPU's maps.
 
-/// Extreme inverse depths of all levels of all maps: (nearest to the lamp, farthest).
-@group(0) @binding(6) var<storage, read> extremes: array<vec2f>;
+/// Extreme inverse depths of all levels of all maps: nearest to the lamp, then farthest.
+@group(0) @binding(6) var<storage, read> extremes: array<f32>;
 
 /// A point that asks for its light.
 struct Receiver {
@@ -21,7 +21,8 @@ struct Disc {
 
 fn extremes_at(level: vec4u, x: i32, y: i32) -> vec2f {
     let last = i32(level.y) - 1;
-    return extremes[level.x + u32(clamp(y, 0, last)) * level.y + u32(clamp(x, 0, last))];
+    let at = u32(clamp(y, 0, last)) * level.y + u32(clamp(x, 0, last));
+    return vec2f(extremes[level.x + at], extremes[level.w + at]);
 }
 
 /// Reach of blockers at inverse depth `blocker`, texels.
@@ -83,7 +84,7 @@ fn disc_sums(map: Map, r: Receiver, full_radius: f32) -> Disc {
 }
 
 fn lit_share(map: Map, r: Receiver) -> f32 {
-    let top = extremes[levels[map.first_level + map.level_count - 1u].x].x;
+    let top = extremes[levels[map.first_level + map.level_count - 1u].x];
     var reach = reach_of(map, top, r.w);
     // Twice: a smaller region has a farther nearest blocker, hence a smaller reach.
     for (var i = 0; i < 2; i++) {
@@ -111,7 +112,7 @@ fn lit_share(map: Map, r: Receiver) -> f32 {
 fn visibility(position: vec3f, normal: vec3f) -> f32 {
     let d = position - light.position;
     let z = -d.z;
-    if z <= 0.02 {
+    if z <= SHADOW_NEAREST {
         return 1.0;
     }
     let w = 1.0 / z;
@@ -127,10 +128,14 @@ fn visibility(position: vec3f, normal: vec3f) -> f32 {
         let distance = n.x * d.x - n.y * d.y + n.z * z;
         var slope = n.xy / (min(distance, -1e-3) * map.focal);
         // Steeper planes than this see the lamp at a grazing angle.
-        let steepest = 24.0 * w / map.focal;
+        let steepest = SHADOW_STEEPEST * w / map.focal;
         let steep = length(slope);
         if steep > steepest {
             slope *= steepest / steep;
+        }
+        let baked = baked_share(map, w, at, slope);
+        if baked.known {
+            return baked.share;
         }
         return lit_share(map, Receiver(w + SHADOW_BIAS * w * w, at, slope));
     }

@@ -1,13 +1,17 @@
 // Mip-mapped, anisotropically filtered textures in linear light; twin of texture.rs.
 
-/// Four 16-bit channels a texel.
-@group(0) @binding(4) var<storage, read> texels: array<vec2u>;
-/// First texel, width, height, 0; for the shadow's levels first block, side, side, 0.
+/// Three 10-bit square roots a texel, in squares as in texture.rs; then the layers of shadow/baked.rs, which
+/// share the buffer because a stage has eight at most.
+@group(0) @binding(4) var<storage, read> texels: array<u32>;
+/// First word, width, height, squares of a row; for the shadow's levels first of the nearest, side, side,
+/// first of the farthest.
 @group(0) @binding(5) var<storage, read> levels: array<vec4u>;
 
-fn texel(at: u32) -> vec3f {
-    let packed = texels[at];
-    return vec3f(f32(packed.x & 0xffffu), f32(packed.x >> 16u), f32(packed.y & 0xffffu));
+fn texel(level: vec4u, x: u32, y: u32) -> vec3f {
+    let square = y / TEXEL_SQUARE * level.w + x / TEXEL_SQUARE;
+    let packed = texels[level.x + (square * TEXEL_SQUARE + y % TEXEL_SQUARE) * TEXEL_ROW + x % TEXEL_SQUARE];
+    let root = vec3f(vec3u(packed >> 20u, (packed >> 10u) & 1023u, packed & 1023u));
+    return root * root;
 }
 
 /// The two texels around coordinate `t` of a repeating axis.
@@ -30,27 +34,29 @@ fn wrap(t: f32, size: u32) -> Neighbours {
 fn bilinear(level: vec4u, uv: vec2f) -> vec3f {
     let x = wrap(uv.x, level.y);
     let y = wrap(uv.y, level.z);
-    let top = level.x + y.a * level.y;
-    let bottom = level.x + y.b * level.y;
-    return mix(mix(texel(top + x.a), texel(top + x.b), x.f), mix(texel(bottom + x.a), texel(bottom + x.b), x.f), y.f);
+    let above = mix(texel(level, x.a, y.a), texel(level, x.b, y.a), x.f);
+    let below = mix(texel(level, x.a, y.b), texel(level, x.b, y.b), x.f);
+    return mix(above, below, y.f);
+}
+
+/// log2 of numbers ≥ 1 as on the CPU, within 0.01.
+fn log2_of(v: f32) -> f32 {
+    let split = frexp(v);
+    // The mantissa is moved from [½, 1) to [√½, √2).
+    let low = split.fract < 0.70710678;
+    let x = select(split.fract, 2.0 * split.fract, low) - 1.0;
+    return f32(select(split.exp, split.exp - 1, low)) + x * (1.442695 - x * (0.721348 - x * 0.42));
 }
 
 fn trilinear(first: u32, count: u32, uv: vec2f, level: f32) -> vec3f {
     let low = min(u32(level), count - 1u);
     let fine = bilinear(levels[first + low], uv);
-    let t = level - f32(low);
-    if low == count - 1u || t < 1.0 / 64.0 {
+    // One level alone serves near its own scale.
+    let t = clamp((level - f32(low) - LEVEL_ALONE) / (1.0 - 2.0 * LEVEL_ALONE), 0.0, 1.0);
+    if low == count - 1u || t <= 0.0 {
         return fine;
     }
     return mix(fine, bilinear(levels[first + low + 1u], uv), t);
-}
-
-/// log2 of a number ≥ 1 as on the CPU, within 0.01.
-fn fast_log2(v: f32) -> f32 {
-    let bits = bitcast<u32>(v);
-    let exponent = f32(bits >> 23u) - 127.0;
-    let m = bitcast<f32>((bits & 0x007fffffu) | 0x3f800000u);
-    return exponent + (m - 1.0) * (1.346607 - 0.346607 * m);
 }
 
 /// Colour at `uv`, averaged over the parallelogram of the screen-space derivatives.
@@ -61,11 +67,12 @@ fn sample_texture(first: u32, count: u32, uv: vec2f, du: vec2f, dv: vec2f) -> ve
     let long = max(a, b);
     let short = min(a, b);
     let axis = select(dv, du, a >= b);
-    let taps = max(floor(min(min(long / max(short, 1e-6), MAX_TAPS), max(long, 1.0)) + 0.5), 1.0);
-    let level = fast_log2(max(long / taps, 1.0));
+    let wanted = min(long / max(short, 1e-6), max(long, 1.0)) / TAP_ASPECT;
+    let taps = clamp(floor(wanted + 0.5), 1.0, MAX_TAPS);
+    let level = log2_of(max(max(short, long / (TAP_STRETCH * taps)), 1.0));
     var sum = vec3f(0.0);
     for (var k = 0.0; k < taps; k += 1.0) {
         sum += trilinear(first, count, uv + axis * ((k + 0.5) / taps - 0.5), level);
     }
-    return sum * (1.0 / (taps * 65535.0));
+    return sum * (1.0 / (taps * TEXEL_ONE * TEXEL_ONE));
 }

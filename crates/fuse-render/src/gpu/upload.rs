@@ -14,7 +14,7 @@ use crate::Renderer;
 use crate::cpu::geometry::Geometry;
 use crate::cpu::occlusion::Occlusion;
 use crate::cpu::shade::Lamp;
-use crate::cpu::shadow::Shadow;
+use crate::cpu::shadow::{self, Shadow};
 use crate::cpu::texture::MipChain;
 
 /// The buffers of a scene.
@@ -77,7 +77,11 @@ struct Map {
     radius: f32,
     first_level: u32,
     level_count: u32,
-    pad: [u32; 2],
+    layers: [u32; 2],
+    layer_side: u32,
+    layer_scale: f32,
+    layer_nearest: f32,
+    pad: u32,
 }
 
 /// `Light` of light.wgsl.
@@ -101,25 +105,52 @@ struct Light {
     maps: [Map; SHADOW_MAPS],
 }
 
-/// Levels of mip chains and shadow maps: first element, width, height, 0.
+/// Levels of mip chains and shadow maps; see `levels` in texture.wgsl.
 #[derive(Default)]
 struct Levels {
     rows: Vec<[u32; 4]>,
-    /// Elements so far, of texels and of shadow extremes.
+    /// Words so far, of textures with the shadow's layers, and of shadow extremes.
     texels: u64,
     extremes: u64,
 }
 
 impl Levels {
-    /// Adds a chain of levels by their sizes, behind the `used` elements; first row and count.
-    fn add(rows: &mut Vec<[u32; 4]>, used: &mut u64, sizes: impl Iterator<Item = [u32; 2]>) -> (u32, u32) {
-        let first = rows.len();
-        for [width, height] in sizes {
-            // More than 2³² elements are refused with the buffer that should hold them.
-            rows.push([*used as u32, width, height, 0]);
-            *used += u64::from(width) * u64::from(height);
+    /// Adds a texture; first row and count.
+    fn texture(&mut self, chain: &MipChain) -> (u32, u32) {
+        let first = self.rows.len();
+        for level in chain.levels() {
+            // More than 2³² words are refused with the buffer that should hold them.
+            self.rows.push([self.texels as u32, level.width, level.height, level.across]);
+            self.texels += level.texels.len() as u64;
         }
-        (first as u32, (rows.len() - first) as u32)
+        (first as u32, (self.rows.len() - first) as u32)
+    }
+
+    /// Adds a shadow map.
+    fn shadow(&mut self, map: &shadow::Map) -> Map {
+        let first = self.rows.len();
+        for level in &map.levels {
+            let (side, length) = (level.side as u32, level.near.len() as u64);
+            self.rows.push([self.extremes as u32, side, side, (self.extremes + length) as u32]);
+            self.extremes += 2 * length;
+        }
+        let layers = [0, 1].map(|k| {
+            let first = self.texels as u32;
+            self.texels += map.baked.layers[k].len() as u64;
+            first
+        });
+        Map {
+            center: map.center.to_array(),
+            focal: map.focal,
+            radius: map.radius,
+            first_level: first as u32,
+            level_count: (self.rows.len() - first) as u32,
+            layers,
+            layer_side: map.baked.side as u32,
+            layer_scale: map.baked.scale,
+            layer_nearest: map.baked.nearest,
+            pad: 0,
+        }
     }
 }
 
@@ -132,14 +163,11 @@ impl Buffers {
         let maps = shading.shadow.as_ref().map_or(&[][..], |s| &s.maps);
         let light =
             light(&shading.light, scene.background, shading.shadow.as_ref(), shading.occlusion.as_ref(), &mut levels);
-        let texels = chains.iter().flat_map(|c| c.levels().iter().map(|l| &l.texels[..]));
-        let extremes = maps.iter().flat_map(|m| m.levels.iter().map(|l| &l.extremes[..]));
-        let vertices: Vec<Vertex> = (0..geometry.positions.len())
-            .map(|i| {
-                let uv = geometry.uvs[i];
-                let (position, normal) = (geometry.positions[i].to_array(), geometry.normals[i].to_array());
-                Vertex { position, u: uv.x, normal, v: uv.y }
-            })
+        let layers = maps.iter().flat_map(|m| m.baked.layers.iter().map(|l| &l[..]));
+        let texels = chains.iter().flat_map(|c| c.levels().iter().map(|l| &l.texels[..])).chain(layers);
+        let extremes = maps.iter().flat_map(|m| m.levels.iter().flat_map(|l| [&l.near[..], &l.far[..]]));
+        let vertices: Vec<Vertex> = (geometry.vertices.iter())
+            .map(|v| Vertex { position: v.position.to_array(), u: v.uv.x, normal: v.normal.to_array(), v: v.uv.y })
             .collect();
         let corners = geometry.triangles.iter().zip(&geometry.triangle_part);
         let triangles: Vec<[u32; 4]> = corners.map(|(&[a, b, c], &part)| [a, b, c, part]).collect();
@@ -154,7 +182,7 @@ impl Buffers {
             vertices: filled(gpu, "the scene's vertices", once(&vertices[..]))?,
             triangles: filled(gpu, "the scene's triangles", once(&triangles[..]))?,
             parts: filled(gpu, "the scene's materials", once(&parts[..]))?,
-            texels: filled(gpu, "the scene's textures", texels)?,
+            texels: filled(gpu, "the scene's textures and shadow layers", texels)?,
             levels: filled(gpu, "levels of textures and shadow maps", once(&levels.rows[..]))?,
             extremes: filled(gpu, "the scene's shadow maps", extremes)?,
             soft_boxes: filled(gpu, "the scene's soft boxes", once(&soft_boxes[..]))?,
@@ -184,8 +212,7 @@ fn parts(geometry: &Geometry, levels: &mut Levels, chains: &mut Vec<Arc<MipChain
     let mut texture = |chain: &Arc<MipChain>| {
         *known.entry(Arc::as_ptr(chain)).or_insert_with(|| {
             chains.push(chain.clone());
-            let sizes = chain.levels().iter().map(|l| [l.width, l.height]);
-            Levels::add(&mut levels.rows, &mut levels.texels, sizes)
+            levels.texture(chain)
         })
     };
     let part = |part: &crate::cpu::geometry::Part| {
@@ -216,10 +243,7 @@ fn light(
         ..Light::default()
     };
     for (slot, map) in light.maps.iter_mut().zip(shadow.map_or(&[][..], |s| &s.maps)) {
-        let sizes = map.levels.iter().map(|l| [l.side as u32; 2]);
-        let (first_level, level_count) = Levels::add(&mut levels.rows, &mut levels.extremes, sizes);
-        let (center, focal, radius) = (map.center.to_array(), map.focal, map.radius);
-        *slot = Map { center, focal, radius, first_level, level_count, pad: [0; 2] };
+        *slot = levels.shadow(map);
         light.map_count += 1;
     }
     if let Some(grid) = occlusion {
@@ -233,7 +257,7 @@ fn light(
 
 /// The grid of ambient occlusion as a texture of one byte a channel.
 fn cells(gpu: &Gpu, occlusion: Option<&Occlusion>) -> wgpu::TextureView {
-    let size = occlusion.map_or(UVec3::ONE, |o| o.size);
+    let size = occlusion.map_or(UVec3::ONE, |o| o.size + UVec3::X * 2);
     let extent = wgpu::Extent3d { width: size.x, height: size.y, depth_or_array_layers: size.z };
     let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("ambient occlusion"),

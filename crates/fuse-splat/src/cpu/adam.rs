@@ -4,8 +4,8 @@
 //! x ← x − r/(1 − β₁ᵗ) · m / (√(v/(1 − β₂ᵗ)) + ε).
 
 use crate::constants::{ADAM_EPSILON, BETA1, BETA2, PARAMETERS, REST, REST_PER_CHANNEL};
-use crate::simd::F32x8;
 use crate::table::Block;
+use fuse_camera::simd::F32x8;
 
 /// What one step needs beyond the gradient.
 #[derive(Clone, Debug)]

@@ -12,8 +12,8 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MIN, TILE_HEIGHT, TILE_WIDTH};
-use crate::simd::{F32x8, Kernel, dispatch, prefetch};
 use crate::stages::{Entry, Pairs, Splat, View};
+use fuse_camera::simd::{F32x8, Kernel, dispatch, prefetch};
 
 /// Gaussians of one task.
 pub(crate) const CHUNK: usize = 512;

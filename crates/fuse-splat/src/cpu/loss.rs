@@ -16,7 +16,7 @@ use fuse_camera::simd::Level;
 use rayon::prelude::*;
 
 use crate::constants::{SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW};
-use crate::simd::{F32x8, Kernel, dispatch};
+use fuse_camera::simd::{F32x8, Kernel, dispatch};
 
 /// Rows of a task; a larger band repeats less at its rims.
 const BAND: usize = 120;

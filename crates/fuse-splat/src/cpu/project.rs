@@ -14,9 +14,9 @@ use rayon::prelude::*;
 
 use crate::constants::{DC, FOV_MARGIN, LOG2_ALPHA_MIN, NEAR, OPACITY, POSITION, REST, ROTATION, SCALE};
 use crate::sh;
-use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Splat, View};
 use crate::table::{Block, LANES, Table};
+use fuse_camera::simd::{F32x8, Kernel, dispatch};
 
 /// Blocks that one task projects.
 const CHUNK: usize = 32;

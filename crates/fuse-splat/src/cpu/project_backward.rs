@@ -13,9 +13,9 @@ use super::intersect::{CHUNK, Chunk};
 use super::project::{self, Geometry};
 use crate::constants::{DC, OPACITY, PARAMETERS, POSITION, REST, ROTATION, SCALE};
 use crate::sh;
-use crate::simd::{F32x8, Kernel, dispatch};
 use crate::stages::{Density, PairGradient, Splat, View};
 use crate::table::{Block, LANES, Table};
+use fuse_camera::simd::{F32x8, Kernel, dispatch};
 
 /// What the rasteriser's backward pass left, and how to find it.
 #[derive(Clone, Copy)]

@@ -16,8 +16,8 @@ use crate::constants::{
     ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, LOG2_ALPHA_MAX, LOG2_ALPHA_MIN, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH,
     TRANSMITTANCE_MIN,
 };
-use crate::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 use crate::stages::{Pairs, Planes, Splat, View};
+use fuse_camera::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 
 /// Blocks side by side in a tile.
 pub(super) const BLOCK_COLUMNS: usize = TILE_WIDTH / BLOCK_WIDTH;

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 
 use super::rasterize::{AHEAD, BLOCK, BLOCK_COLUMNS, Broadcast, TILE_PIXELS, TilePlane, clamps, copy_line, vectors};
 use crate::constants::{ALPHA_MAX, BLOCK_HEIGHT, BLOCK_WIDTH, TILE_BLOCKS, TILE_HEIGHT, TILE_WIDTH};
-use crate::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 use crate::stages::{PairGradient, Pairs, Splat, View};
+use fuse_camera::simd::{Floats, WideKernel, dispatch_wide, prefetch};
 
 /// Floats of a cache line.
 const CACHE_LINE: usize = 16;

@@ -5,21 +5,20 @@
 //! compiled once for each level inside a function that enables its instructions, and once for the
 //! build target. A [`WideKernel`] also works with sixteen lanes where the level has them.
 
-use std::array::from_fn;
 use std::ops::{Add, Div, Mul, Sub};
 
-use fuse_camera::simd::Level;
+use super::portable::Portable;
+use super::{Level, best};
 
 #[cfg(target_arch = "x86_64")]
-mod x86;
+use super::x86;
 
 /// Lanes of f32, a multiple of eight of them.
-pub(crate) trait Floats:
-    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
-{
+pub trait Floats: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> {
     /// Number of lanes.
     const LANES: usize;
 
+    /// The same value in every lane.
     fn splat(v: f32) -> Self;
     /// The values at the start of `v`.
     fn load_slice(v: &[f32]) -> Self;
@@ -27,6 +26,7 @@ pub(crate) trait Floats:
     fn store_slice(self, to: &mut [f32]);
     /// `self · a + b`, rounded once where the level has FMA.
     fn mul_add(self, a: Self, b: Self) -> Self;
+    /// The smaller of each pair; `o` where one is NaN.
     fn min(self, o: Self) -> Self;
     /// `self` in the lanes with `a ≥ b`, zero in the others, and where one of them is NaN.
     fn where_ge(self, a: Self, b: Self) -> Self;
@@ -37,6 +37,7 @@ pub(crate) trait Floats:
     /// The sums over the lanes of each of eight vectors.
     fn sums(v: [Self; 8]) -> [f32; 8];
 
+    /// Zeros.
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
@@ -60,12 +61,19 @@ pub(crate) trait Floats:
 }
 
 /// Eight lanes of f32. Masks are lanes with all bits set or none.
-pub(crate) trait F32x8: Floats {
+pub trait F32x8: Floats {
+    /// Its eight integers.
+    type Int: I32x8<Float = Self>;
+
+    /// Eight values.
     fn load(v: &[f32; 8]) -> Self;
     /// Eight integers.
     fn load_bytes(v: &[u8; 8]) -> Self;
+    /// Writes the eight values.
     fn store(self, to: &mut [f32; 8]);
+    /// The larger of each pair; `o` where one is NaN.
     fn max(self, o: Self) -> Self;
+    /// Square root, correctly rounded.
     fn sqrt(self) -> Self;
     /// Mask of lanes with `self ≥ o`; false for NaN.
     fn ge(self, o: Self) -> Self;
@@ -73,6 +81,12 @@ pub(crate) trait F32x8: Floats {
     fn gt(self, o: Self) -> Self;
     /// Bitwise and.
     fn and(self, o: Self) -> Self;
+    /// Bitwise or.
+    fn or(self, o: Self) -> Self;
+    /// One bit a lane: its sign bit, which for a mask tells whether it is set.
+    fn mask_bits(self) -> u8;
+    /// Rounded towards zero, for lanes within ±2³¹.
+    fn to_int(self) -> Self::Int;
     /// `self` where the mask is set, else `other`.
     fn select(self, mask: Self, other: Self) -> Self;
     /// Rounded towards zero, for lanes within ±2³¹.
@@ -80,11 +94,13 @@ pub(crate) trait F32x8: Floats {
     /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
     fn split_exponent(self) -> (Self, Self);
 
+    /// With the other sign.
     #[inline(always)]
     fn neg(self) -> Self {
         Self::zero() - self
     }
 
+    /// The eight values.
     #[inline(always)]
     fn to_array(self) -> [f32; 8] {
         let mut out = [0.0; 8];
@@ -112,25 +128,64 @@ pub(crate) trait F32x8: Floats {
     }
 }
 
+/// Eight lanes of i32; arithmetic wraps around.
+pub trait I32x8: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
+    /// Its eight floats.
+    type Float: F32x8<Int = Self>;
+
+    /// The same value in every lane.
+    fn splat(v: i32) -> Self;
+    /// Eight words.
+    fn load(v: &[u32; 8]) -> Self;
+    /// Writes the eight words.
+    fn store(self, to: &mut [u32; 8]);
+    /// The eight values.
+    fn to_array(self) -> [i32; 8];
+    /// Bitwise and.
+    fn and(self, o: Self) -> Self;
+    /// Shifted right by `N`, zeros coming in.
+    fn shift_right<const N: i32>(self) -> Self;
+    /// The smaller of each pair.
+    fn min(self, o: Self) -> Self;
+    /// The larger of each pair.
+    fn max(self, o: Self) -> Self;
+    /// Mask of the lanes that are equal.
+    fn equal(self, o: Self) -> Self::Float;
+    /// `self` where the mask is set, else `other`.
+    fn select(self, mask: Self::Float, other: Self) -> Self;
+    /// As floats, rounded to nearest.
+    fn to_float(self) -> Self::Float;
+    /// The words of a table at these places; a place beyond its end, and a negative one, reads the
+    /// last word. The table must not be empty.
+    fn gather(self, table: &[u32]) -> Self;
+    /// The words of a table at these places and those after them; a place without a word after it,
+    /// and a negative one, reads the last two. The table must have two words.
+    fn gather_pairs(self, table: &[u32]) -> (Self, Self);
+    /// The same bits as floats.
+    fn as_float(self) -> Self::Float;
+}
+
 /// Work that is compiled for every level.
-pub(crate) trait Kernel {
+pub trait Kernel {
+    /// What it returns.
     type Output;
-    /// Must be `#[inline(always)]`.
+    /// Does the work. Must be `#[inline(always)]`.
     fn run<V: F32x8>(self) -> Self::Output;
 }
 
 /// Work on as many lanes as the level has.
-pub(crate) trait WideKernel {
+pub trait WideKernel {
+    /// What it returns.
     type Output;
-    /// Must be `#[inline(always)]`.
+    /// Does the work. Must be `#[inline(always)]`.
     fn run<V: Floats>(self) -> Self::Output;
 }
 
 /// Runs a kernel at `level`, or portably where the machine lacks that level.
 #[inline]
-pub(crate) fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
+pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
-    match level.min(fuse_camera::simd::best()) {
+    match level.min(best()) {
         // SAFETY: the machine was found to have AVX2, FMA and these parts of AVX-512.
         Level::Avx512 => return unsafe { x86::run_avx512(kernel) },
         // SAFETY: the machine was found to have AVX2 and FMA.
@@ -143,9 +198,9 @@ pub(crate) fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
 
 /// The same with sixteen lanes where the level has them.
 #[inline]
-pub(crate) fn dispatch_wide<K: WideKernel>(level: Level, kernel: K) -> K::Output {
+pub fn dispatch_wide<K: WideKernel>(level: Level, kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
-    match level.min(fuse_camera::simd::best()) {
+    match level.min(best()) {
         // SAFETY: the machine was found to have AVX2, FMA and these parts of AVX-512.
         Level::Avx512 => return unsafe { x86::run_wide_avx512(kernel) },
         // SAFETY: the machine was found to have AVX2 and FMA.
@@ -158,7 +213,7 @@ pub(crate) fn dispatch_wide<K: WideKernel>(level: Level, kernel: K) -> K::Output
 
 /// Asks for the cache line of `values[at]`, if there is one, before it is needed.
 #[inline(always)]
-pub(crate) fn prefetch<T>(values: &[T], at: usize) {
+pub fn prefetch<T>(values: &[T], at: usize) {
     #[cfg(target_arch = "x86_64")]
     if let Some(value) = values.get(at) {
         x86::prefetch(value);
@@ -167,130 +222,15 @@ pub(crate) fn prefetch<T>(values: &[T], at: usize) {
     let _ = (values, at);
 }
 
-/// Plain arrays, for whatever the build target has.
-#[derive(Clone, Copy)]
-#[repr(align(32))]
-struct Portable([f32; 8]);
-
-macro_rules! portable_operator {
-    ($trait:ident, $method:ident, $op:tt) => {
-        impl $trait for Portable {
-            type Output = Self;
-            #[inline(always)]
-            fn $method(self, o: Self) -> Self {
-                Self(from_fn(|i| self.0[i] $op o.0[i]))
-            }
-        }
-    };
-}
-portable_operator!(Add, add, +);
-portable_operator!(Sub, sub, -);
-portable_operator!(Mul, mul, *);
-portable_operator!(Div, div, /);
-
-fn mask(set: bool) -> f32 {
-    f32::from_bits(if set { u32::MAX } else { 0 })
-}
-
-impl Floats for Portable {
-    const LANES: usize = 8;
-
-    #[inline(always)]
-    fn splat(v: f32) -> Self {
-        Self([v; 8])
-    }
-    #[inline(always)]
-    fn load_slice(v: &[f32]) -> Self {
-        Self::load(v.first_chunk().expect("at least eight values"))
-    }
-    #[inline(always)]
-    fn store_slice(self, to: &mut [f32]) {
-        self.store(to.first_chunk_mut().expect("at least eight places"));
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        // Not f32::mul_add, which is a slow library call where the target has no FMA.
-        self * a + b
-    }
-    #[inline(always)]
-    fn min(self, o: Self) -> Self {
-        Self(from_fn(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] }))
-    }
-    #[inline(always)]
-    fn where_ge(self, a: Self, b: Self) -> Self {
-        self.and(a.ge(b))
-    }
-    #[inline(always)]
-    fn any_ge(self, o: Self) -> bool {
-        (0..8).any(|i| self.0[i] >= o.0[i])
-    }
-    #[inline(always)]
-    fn add_exponent(self, t: Self) -> Self {
-        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits().wrapping_add(t.0[i].to_bits() << 23))))
-    }
-    #[inline(always)]
-    fn sums(v: [Self; 8]) -> [f32; 8] {
-        from_fn(|i| {
-            let a = v[i].0;
-            ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7]))
-        })
-    }
-}
-
-impl F32x8 for Portable {
-    #[inline(always)]
-    fn load(v: &[f32; 8]) -> Self {
-        Self(*v)
-    }
-    #[inline(always)]
-    fn load_bytes(v: &[u8; 8]) -> Self {
-        Self(v.map(f32::from))
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f32; 8]) {
-        *to = self.0;
-    }
-    #[inline(always)]
-    fn max(self, o: Self) -> Self {
-        Self(from_fn(|i| if self.0[i] > o.0[i] { self.0[i] } else { o.0[i] }))
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        Self(from_fn(|i| self.0[i].sqrt()))
-    }
-    #[inline(always)]
-    fn ge(self, o: Self) -> Self {
-        Self(from_fn(|i| mask(self.0[i] >= o.0[i])))
-    }
-    #[inline(always)]
-    fn gt(self, o: Self) -> Self {
-        Self(from_fn(|i| mask(self.0[i] > o.0[i])))
-    }
-    #[inline(always)]
-    fn and(self, o: Self) -> Self {
-        Self(from_fn(|i| f32::from_bits(self.0[i].to_bits() & o.0[i].to_bits())))
-    }
-    #[inline(always)]
-    fn select(self, mask: Self, other: Self) -> Self {
-        Self(from_fn(|i| if mask.0[i].to_bits() != 0 { self.0[i] } else { other.0[i] }))
-    }
-    #[inline(always)]
-    fn truncate(self) -> [i32; 8] {
-        self.0.map(|v| v as i32)
-    }
-    #[inline(always)]
-    fn split_exponent(self) -> (Self, Self) {
-        let e: [i32; 8] = from_fn(|i| (self.0[i].to_bits() as i32).wrapping_sub(HALF_ROOT) >> 23);
-        let m = from_fn(|i| f32::from_bits((self.0[i].to_bits() as i32).wrapping_sub(e[i] << 23) as u32));
-        (Self(from_fn(|i| e[i] as f32)), Self(m))
-    }
-}
-
 /// Bits of √½, the lower end of the mantissas that `split_exponent` returns.
-const HALF_ROOT: i32 = 0x3f35_04f3;
+pub(super) const HALF_ROOT: i32 = 0x3f35_04f3;
 
 #[cfg(test)]
+// Lanes are counted through several arrays at once.
+#[allow(clippy::needless_range_loop)]
 mod tests {
+    use std::array::from_fn;
+
     use super::*;
 
     struct Elementary<'a>(&'a [f32; 8]);
@@ -306,7 +246,7 @@ mod tests {
 
     #[test]
     fn elementary_functions_agree_with_std_at_every_level() {
-        for level in [Level::Portable, Level::Avx2Fma, fuse_camera::simd::best()] {
+        for level in [Level::Portable, Level::Avx2Fma, best()] {
             for k in 0..4000 {
                 let x: [f32; 8] = from_fn(|i| (k as f32 - 2000.0) * 0.0625 + i as f32 * 0.0071);
                 let (exp, log, sums) = dispatch(level, Elementary(&x));
@@ -349,14 +289,50 @@ mod tests {
     fn sixteen_lanes_do_what_eight_do() {
         for k in 0..400 {
             let x: [f32; 16] = from_fn(|i| ((k * 16 + i) as f32 * 0.37).sin() * 20.0 + if i == 3 { 0.25 } else { 0.0 });
-            let [narrow, wide] =
-                [Level::Avx2Fma, fuse_camera::simd::best()].map(|level| dispatch_wide(level, Wide(&x)));
+            let [narrow, wide] = [Level::Avx2Fma, best()].map(|level| dispatch_wide(level, Wide(&x)));
             assert_eq!(narrow.0, wide.0);
             assert_eq!((narrow.1, narrow.2), (wide.1, wide.2));
             assert_eq!(wide.2, x.map(|v| v >= 0.25));
             let total: f32 = x.iter().sum();
             for i in 0..8 {
                 assert!((wide.3[i] - total * i as f32).abs() < 1e-3, "{i}");
+            }
+        }
+    }
+
+    struct Integers<'a>(&'a [f32; 8], &'a [u32]);
+    impl Kernel for Integers<'_> {
+        /// Parts of `x · 5 - 3` as integers, single words, pairs of words, and a mask.
+        type Output = ([i32; 8], [i32; 8], [[i32; 8]; 2], [u8; 2]);
+        #[inline(always)]
+        fn run<V: F32x8>(self) -> Self::Output {
+            let (x, table) = (V::load(self.0), self.1);
+            let three = V::Int::splat(3);
+            let n = x.to_int() * V::Int::splat(5) - three;
+            let parts = n.shift_right::<1>().and(V::Int::splat(0xff)).select(n.equal(three), n.min(three).max(n));
+            let (a, b) = x.to_int().gather_pairs(table);
+            let masks = [x.gt(V::splat(2.0)).mask_bits(), x.gt(V::splat(2.0)).or(n.equal(three)).mask_bits()];
+            (parts.to_array(), n.gather(table).to_array(), [a.to_array(), b.to_array()], masks)
+        }
+    }
+
+    #[test]
+    fn integers_and_look_ups_are_the_same_at_every_level() {
+        let table: Vec<u32> = (0..11).map(|i| i * 1000 + 7).collect();
+        for k in 0..200 {
+            let x: [f32; 8] = from_fn(|i| (k as f32 * 0.31 + i as f32 * 1.7) % 14.0 - 2.0);
+            let results = [Level::Portable, Level::Avx2Fma, best()].map(|l| dispatch(l, Integers(&x, &table)));
+            assert_eq!(results[0], results[1]);
+            assert_eq!(results[0], results[2]);
+            let (_, single, pairs, masks) = results[0];
+            for i in 0..8 {
+                let (n, whole) = (x[i] as i32 * 5 - 3, x[i] as i32);
+                let word = |i: usize| i as i32 * 1000 + 7;
+                // Negative places read the end of the table, like those beyond it.
+                let place = |n: i32, last: usize| (n as u32 as usize).min(last);
+                assert_eq!(single[i], word(place(n, 10)), "{n}");
+                assert_eq!([pairs[0][i], pairs[1][i]], [word(place(whole, 9)), word(place(whole, 9) + 1)]);
+                assert_eq!(masks[0] >> i & 1 == 1, x[i] > 2.0);
             }
         }
     }
