@@ -35,13 +35,13 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	cargo clippy --workspace --all-targets --features fuse-splat/gpu --quiet -- -D warnings
+	cargo clippy --workspace --all-targets --features fuse-splat/gpu,fuse-render/gpu --quiet -- -D warnings
 
 # Unit, integration and documentation tests of every crate; the GPU twin's run on a real adapter
 # or on Mesa's software driver.
 test-rust:
 	tests/vulkan.sh
-	cargo test --quiet --features fuse-splat/gpu
+	cargo test --quiet --features fuse-splat/gpu,fuse-render/gpu
 
 test-python: install
 	$(BIN)/python -m mypy.stubtest fuse_grounding._core --allowlist tests/python/stubtest-allow.txt
@@ -56,6 +56,7 @@ test: lint test-rust test-python test-wheel
 bench: install
 	cargo bench
 	cargo bench -p fuse-splat --features gpu --bench gpu
+	cargo bench -p fuse-render --features gpu --bench gpu
 	$(BIN)/python benches/evidence.py
 	$(BIN)/python benches/registration.py
 	$(BIN)/python benches/map_quality.py

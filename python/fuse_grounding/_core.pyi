@@ -153,7 +153,9 @@ def render_models(
     floor: float | None = ...,
     background: Sequence[float] = ...,
     shadows: bool = True,
+    device: str = "cpu",
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint32]]: ...
+def render_device(device: str) -> str: ...
 
 # Randomised training pictures
 
@@ -250,7 +252,7 @@ class Stage:
 
 @final
 class World:
-    def __new__(cls, episode_json: str, stage: Stage) -> World: ...
+    def __new__(cls, episode_json: str, stage: Stage, device: str = "cpu") -> World: ...
     def render(
         self, node: int, pitch_index: int
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint32]]: ...

@@ -42,3 +42,10 @@ def check_simd_level() -> None:
     wanted, levels = os.environ.get("FUSE_SIMD", ""), ("portable", "avx2+fma", "avx512")
     if wanted and wanted not in levels:
         raise InputError(f"FUSE_SIMD must be one of {', '.join(levels)}, found `{wanted}`")
+
+
+def device_wish(device: object) -> str:
+    """`cpu`, `gpu` or `auto`. Raises InputError for anything else."""
+    if not isinstance(device, str) or device not in ("cpu", "gpu", "auto"):
+        raise InputError(f"device must be `auto`, `cpu` or `gpu`, found {device!r}")
+    return device

@@ -9,6 +9,7 @@ from fuse_grounding import knowledge, mapping, splat
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
 from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
+from fuse_grounding.environment import render_device
 from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
 from fuse_grounding.perception.embedded import DEFAULT_PATH, EmbeddedSegmenter
@@ -47,6 +48,12 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     # What cannot run says so before anything is loaded.
     method.policy(config, 0)
     announcements = mapping.check(config.map) if method.maps else []
+    rendered_on = render_device(config.render.device)
+    if config.render.device != "cpu":
+        why = "no real GPU was found, " if rendered_on.startswith("cpu") else ""
+        announcements.append(
+            f"render.device {config.render.device}: {why}the world is rendered on {rendered_on}"
+        )
     segmenter, weights = make_segmenter(config.segmenter)
 
     # Taken once: what the record names is what every map of the run is trained on.
@@ -68,6 +75,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         look=lambda situation, rendered: evidence_maps(situation, rendered, config),
         provenance=provenance(
             device,
+            rendered_on,
             segmenter=weights,
             **({} if config.gate.planner is None else {"planner": config.gate.planner}),
         ),

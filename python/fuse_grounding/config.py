@@ -167,6 +167,13 @@ class MapConfig(Section, TrainerConfig):  # type: ignore[misc]  # frozen too: by
         return {**OFFICIAL, **given} if official else given
 
 
+class RenderConfig(Section):
+    """Pictures of the tabletop world."""
+
+    device: Literal["cpu", "gpu", "auto"] = "cpu"
+    """As `TabletopEnvironment`'s: what was taken is in the record. The CPU shows everybody the same. Ours."""
+
+
 class KnowledgeConfig(Section):
     """From a query to candidate labels."""
 
@@ -231,6 +238,7 @@ class Config(Section):
     evidence: EvidenceConfig = EvidenceConfig()
     registration: RegistrationConfig = RegistrationConfig()
     map: MapConfig = MapConfig()
+    render: RenderConfig = RenderConfig()
     knowledge: KnowledgeConfig = KnowledgeConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
     metric: MetricConfig = MetricConfig()

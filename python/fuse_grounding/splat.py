@@ -29,7 +29,7 @@ from pydantic import Field
 
 from fuse_grounding import _core
 from fuse_grounding._core import Camera
-from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive, instance_of, whole
+from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive, device_wish, instance_of, whole
 from fuse_grounding.errors import InputError
 
 __all__ = [
@@ -261,7 +261,7 @@ def render(
     Depth is the mean along the optical axis of what is drawn, 0 where nothing is. `background` is
     RGB in [0, 1], default black. Raises FuseError if a GPU fails.
     """
-    _check_device(device)
+    device_wish(device)
     instance_of("gaussians", gaussians, Gaussians)
     instance_of("camera", camera, Camera)
     rgb = np.asarray((0.0, 0.0, 0.0) if background is None else background)
@@ -278,7 +278,7 @@ class Trainer:
     """
 
     def __init__(self, gaussians: Gaussians, config: TrainerConfig | None = None, device: str = "cpu"):
-        _check_device(device)
+        device_wish(device)
         instance_of("gaussians", gaussians, Gaussians)
         self.config = config if config is not None else TrainerConfig()
         instance_of("config", self.config, TrainerConfig)
@@ -386,15 +386,10 @@ def device_name(device: str = "auto") -> str:
 
     Raises InputError for another wish than `cpu`, `gpu` and `auto`, and for `gpu` where there is none.
     """
-    _check_device(device)
+    device_wish(device)
     return _core.splat_device(device)
 
 
 def checkpoint_note(path: str | os.PathLike[str]) -> str:
     """The note of a checkpoint, whoever wrote it. Raises InputError for a file that is none."""
     return _core.checkpoint_note(os.fspath(path))
-
-
-def _check_device(device: str) -> None:
-    if not isinstance(device, str):
-        raise InputError(f"device must be `auto`, `cpu` or `gpu`, found {device!r}")

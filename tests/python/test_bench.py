@@ -22,6 +22,7 @@ PROVENANCE: dict[str, Any] = {
     "packages": {"numpy": "2.0.0"},
     "simd_level": "avx2",
     "device": "cpu (avx2)",
+    "render_device": "cpu (avx2)",
     "commit": "c0ffee",
 }
 EPISODES = [Episode('{"episode_id": "a", "seed": 1}'), Episode('{"episode_id": "b", "seed": 2}')]
@@ -92,6 +93,10 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
         (
             {"device": "gpu (NVIDIA L4, Vulkan)"},
             r"on another device \(`device` is 'cpu \(avx2\)' there .*\)",
+        ),
+        (
+            {"render_device": "gpu (NVIDIA L4, Vulkan)"},
+            r"with pictures of another device \(`render_device` is 'cpu \(avx2\)' there .*\)",
         ),
     ]
     for other, how in others:

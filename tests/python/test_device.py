@@ -20,6 +20,8 @@ from fuse_grounding import doctor, mapping, splat
 from fuse_grounding._core import simd_level
 from fuse_grounding.agent import Agent
 from fuse_grounding.config import Config
+from fuse_grounding.environment import TabletopEnvironment, load_episodes, render_device
+from fuse_grounding.environment.gym import TabletopGym
 from fuse_grounding.errors import InputError
 from fuse_grounding.reconstruction.training import TrainOptions
 
@@ -144,6 +146,44 @@ def test_what_maps_are_trained_on_is_announced_and_recorded(gpu: str) -> None:
         assert [t for t in told if t.startswith("map.device")] == sentences
     with pytest.raises(InputError, match=r"`map\.device`: found 'cuda', expected"):
         Config().with_(map={"device": "cuda"})
+
+
+def test_the_world_looks_the_same_on_both(gpu: str) -> None:
+    episode = load_episodes("dev")[0]
+    cpu, other = TabletopEnvironment(episode), TabletopEnvironment(episode, device="gpu")
+    assert (cpu.device, other.device) == (CPU, gpu)
+    expected, drawn = cpu.observe(), other.observe()
+    assert expected.instance is not None
+    assert drawn.instance is not None
+    assert (expected.instance == drawn.instance).mean() >= 0.999
+    assert len(np.unique(drawn.instance)) > 5
+    off = np.abs(expected.rgb.astype(int) - drawn.rgb).max(2)
+    assert (off <= 3).mean() >= 0.99
+    assert np.array_equal(drawn.rgb, other.observe().rgb)
+    gym = TabletopGym([episode], device="gpu")
+    assert np.array_equal(gym.reset()[0]["rgb"], drawn.rgb)
+
+
+@pytest.mark.parametrize("wish", ["cuda", None])
+def test_another_wish_to_render_on_is_refused_by_name(wish) -> None:
+    episode = load_episodes("dev")[0]
+    for call in (
+        lambda: TabletopEnvironment(episode, device=wish),
+        lambda: TabletopGym([episode], device=wish),
+        lambda: render_device(wish),
+    ):
+        with pytest.raises(InputError, match=f"device must be `auto`, `cpu` or `gpu`, found .?{wish}"):
+            call()
+
+
+def test_what_the_world_is_rendered_on_is_announced_and_recorded(gpu: str) -> None:
+    for wish, taken in (("cpu", CPU), ("gpu", gpu), ("auto", render_device("auto"))):
+        agent = Agent(Config(method="static").with_(render={"device": wish}))
+        assert agent.provenance["render_device"] == taken
+        told = agent.start("cut a piece of rope").record.announcements
+        sentences = [t for t in told if t.startswith("render.device")]
+        assert len(sentences) == (wish != "cpu")
+        assert all(t.endswith(f"the world is rendered on {taken}") for t in sentences)
 
 
 def test_a_checkpoint_of_another_device_is_refused(gpu: str, tmp_path: Path) -> None:

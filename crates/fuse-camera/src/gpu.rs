@@ -37,9 +37,26 @@ pub enum GpuError {
         /// Bytes.
         allowed: u64,
     },
+    /// An image has more pixels a side than the adapter offers.
+    #[error("an image of {width}x{height} pixels was asked for, the GPU allows {allowed} pixels a side")]
+    ImageSize {
+        /// Width asked for.
+        width: u32,
+        /// Height asked for.
+        height: u32,
+        /// Most pixels a side.
+        allowed: u32,
+    },
     /// The GPU failed at work.
     #[error("the GPU failed: {0}")]
     Failed(String),
+}
+
+impl GpuError {
+    /// Whether the machine failed, rather than the caller having asked for what there is not.
+    pub fn is_failure(&self) -> bool {
+        matches!(self, Self::Open { .. } | Self::Failed(_))
+    }
 }
 
 /// What a caller asks for.

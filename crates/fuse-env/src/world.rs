@@ -40,6 +40,10 @@ pub enum WorldError {
         /// What the renderer said.
         source: SceneError,
     },
+    /// The GPU that renders.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] fuse_camera::gpu::GpuError),
 }
 
 type Solids = Mutex<HashMap<String, Arc<Solid>>>;
@@ -134,6 +138,17 @@ impl Stage {
         objects: &[EpisodeObject],
         painted: bool,
     ) -> Result<Renderer, WorldError> {
+        let (scene_3d, options) = self.laid(scene, objects, painted)?;
+        Renderer::new(scene_3d, &options).map_err(|source| WorldError::Scene { scene: scene.name.clone(), source })
+    }
+
+    /// What a renderer of a scene with `objects` on its table is made from.
+    fn laid(
+        &self,
+        scene: &SceneConfiguration,
+        objects: &[EpisodeObject],
+        painted: bool,
+    ) -> Result<(Scene, RenderOptions), WorldError> {
         let room = self.room(scene, painted)?;
         let mut instances: Vec<Instance> =
             room.iter().map(|m| Instance { model: m.clone(), transform: Affine3A::IDENTITY, id: 0 }).collect();
@@ -142,8 +157,7 @@ impl Stage {
             instances.push(Instance { model, transform: object.transform(), id: object.instance_id });
         }
         let scene_3d = Scene { instances, light: light(&scene.light), background: BACKGROUND };
-        let options = RenderOptions { shadows: painted, ambient_occlusion: painted, ..RenderOptions::default() };
-        Renderer::new(scene_3d, &options).map_err(|source| WorldError::Scene { scene: scene.name.clone(), source })
+        Ok((scene_3d, RenderOptions { shadows: painted, ambient_occlusion: painted, ..RenderOptions::default() }))
     }
 
     /// Objects whose views are to be counted: each alone, without the room.
@@ -217,16 +231,39 @@ pub fn light(lighting: &Lighting) -> Light {
 
 /// An episode's scene, ready to be seen from any camera.
 pub struct World {
-    renderer: Renderer,
+    renderer: Prepared,
     ring: Ring,
 }
 
+/// A scene on the backend that it was prepared for.
+enum Prepared {
+    Cpu(Box<Renderer>),
+    #[cfg(feature = "gpu")]
+    Gpu(Box<fuse_render::gpu::GpuRenderer>),
+}
+
 impl World {
-    /// Checks the episode and prepares its scene.
+    /// Checks the episode and prepares its scene on the CPU.
     pub fn load(episode: &Episode, stage: &Stage) -> Result<Self, WorldError> {
         episode.validate(stage.catalogue(), stage.scenes())?;
         let scene = stage.scene(&episode.scene_id)?;
-        Ok(Self { renderer: stage.renderer(scene, &episode.objects, true)?, ring: Ring::of(scene) })
+        let renderer = Prepared::Cpu(Box::new(stage.renderer(scene, &episode.objects, true)?));
+        Ok(Self { renderer, ring: Ring::of(scene) })
+    }
+
+    /// Checks the episode and prepares its scene on what `choice` names.
+    #[cfg(feature = "gpu")]
+    pub fn load_on(episode: &Episode, stage: &Stage, choice: &fuse_render::gpu::Choice) -> Result<Self, WorldError> {
+        use fuse_render::gpu::{Choice, GpuRenderer, RenderError};
+        let Choice::Gpu(device) = choice else { return Self::load(episode, stage) };
+        episode.validate(stage.catalogue(), stage.scenes())?;
+        let scene = stage.scene(&episode.scene_id)?;
+        let (scene_3d, options) = stage.laid(scene, &episode.objects, true)?;
+        let renderer = GpuRenderer::new(scene_3d, &options, device).map_err(|error| match error {
+            RenderError::Scene(source) => WorldError::Scene { scene: scene.name.clone(), source },
+            RenderError::Gpu(error) => error.into(),
+        })?;
+        Ok(Self { renderer: Prepared::Gpu(Box::new(renderer)), ring: Ring::of(scene) })
     }
 
     /// The scene's viewpoints.
@@ -235,12 +272,22 @@ impl World {
     }
 
     /// The picture from a viewpoint.
-    pub fn render(&self, viewpoint: Viewpoint) -> Frame {
+    ///
+    /// # Errors
+    /// If the world is on a GPU and that fails.
+    pub fn render(&self, viewpoint: Viewpoint) -> Result<Frame, WorldError> {
         self.render_camera(&self.ring.camera(viewpoint))
     }
 
     /// The picture from any camera.
-    pub fn render_camera(&self, camera: &Camera) -> Frame {
-        self.renderer.render(camera)
+    ///
+    /// # Errors
+    /// As [`World::render`].
+    pub fn render_camera(&self, camera: &Camera) -> Result<Frame, WorldError> {
+        match &self.renderer {
+            Prepared::Cpu(renderer) => Ok(renderer.render(camera)),
+            #[cfg(feature = "gpu")]
+            Prepared::Gpu(renderer) => Ok(renderer.render(camera)?),
+        }
     }
 }

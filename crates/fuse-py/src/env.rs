@@ -10,7 +10,7 @@ use fuse_env::episode::{self, Episode, EpisodeSet, Witness};
 use fuse_env::generate::{self, Request, Validity};
 use fuse_env::ring::Viewpoint;
 use fuse_env::targets::TargetStatistics;
-use fuse_env::world::{self, WorldError};
+use fuse_env::world;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
@@ -18,6 +18,7 @@ use crate::array::{into_2d, into_3d};
 use crate::camera::Camera;
 use crate::enter::enter;
 use crate::error::input;
+use crate::render::take;
 
 type Picture<'py> = (Bound<'py, PyArray3<u8>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
 /// An episode and its targets' statistics, as JSON, and how many layouts were thrown away before it, by reason.
@@ -181,9 +182,12 @@ impl Stage {
 
 /// An episode's scene, ready to be seen from any camera.
 ///
-/// World(episode_json, stage)
+/// World(episode_json, stage, device="cpu")
 ///
-/// Raises InputError for an episode that is not sound.
+/// device: what renders: `cpu`, `gpu`, or `auto` for a real GPU if there is one, else the CPU.
+///
+/// Raises InputError for an episode that is not sound, and where a GPU is asked for and there is
+/// none.
 #[pyclass(frozen, module = "fuse_grounding")]
 pub struct World {
     inner: world::World,
@@ -191,7 +195,7 @@ pub struct World {
 
 impl World {
     fn picture<'py>(&self, py: Python<'py>, camera: &fuse_camera::Camera) -> PyResult<Picture<'py>> {
-        let frame = enter(py, || Ok::<_, WorldError>(self.inner.render_camera(camera)))?;
+        let frame = enter(py, || self.inner.render_camera(camera))?;
         let (w, h) = (frame.rgb.width(), frame.rgb.height());
         let rgb = frame.rgb.into_vec().into_flattened();
         let (depth, ids) = (frame.depth.into_vec(), frame.instance.into_vec());
@@ -202,9 +206,11 @@ impl World {
 #[pymethods]
 impl World {
     #[new]
-    fn new(py: Python<'_>, episode_json: &str, stage: &Stage) -> PyResult<Self> {
+    #[pyo3(signature = (episode_json, stage, device="cpu"))]
+    fn new(py: Python<'_>, episode_json: &str, stage: &Stage, device: &str) -> PyResult<Self> {
         let stage = &stage.inner;
-        let load = || world::World::load(&Episode::from_json(episode_json)?, stage);
+        let choice = enter(py, || take(device))?;
+        let load = || world::World::load_on(&Episode::from_json(episode_json)?, stage, &choice);
         Ok(Self { inner: enter(py, load)? })
     }
 

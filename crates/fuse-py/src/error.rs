@@ -6,6 +6,9 @@
 use std::any::Any;
 use std::fmt::Display;
 
+use fuse_camera::gpu::GpuError;
+use fuse_env::world::WorldError;
+use fuse_render::gpu::RenderError;
 use fuse_splat::SplatError;
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
@@ -48,7 +51,12 @@ pub fn input(message: impl Into<String>) -> PyErr {
 
 /// An error as Python sees it: an `InputError`, or a `FuseError` where the machine failed.
 pub fn raise<E: Display + 'static>(error: &E) -> PyErr {
-    let failed = (error as &dyn Any).downcast_ref().is_some_and(SplatError::is_failure);
+    let any = error as &dyn Any;
+    let gpu = match (any.downcast_ref(), any.downcast_ref()) {
+        (Some(WorldError::Gpu(gpu)), _) | (_, Some(RenderError::Gpu(gpu))) => Some(gpu),
+        _ => any.downcast_ref(),
+    };
+    let failed = any.downcast_ref().is_some_and(SplatError::is_failure) || gpu.is_some_and(GpuError::is_failure);
     typed(if failed { &FUSE_ERROR } else { &INPUT_ERROR }, error.to_string())
 }
 

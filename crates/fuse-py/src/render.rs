@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use fuse_render::{Instance, Light, Material, Mesh, RenderOptions, Renderer, Scene};
+use fuse_camera::gpu::{GpuError, Software};
+use fuse_render::gpu::{Choice, RenderError};
+use fuse_render::{Instance, Light, Material, Mesh, RenderOptions, Scene};
 use glam::{Affine3A, Mat4, Vec2, Vec3};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -61,12 +63,12 @@ fn load_model(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Model> {
 /// models: list of Model; transforms: (N, 4, 4) float32, world from model; camera: Camera;
 /// ids: list of N instance ids (1..N unless given); floor: height of the floor in metres, None
 /// for none; background: linear RGB where nothing is hit; shadows: soft shadow and ambient
-/// occlusion.
+/// occlusion; device: `cpu`, `gpu`, or `auto` for a real GPU if there is one, else the CPU.
 ///
 /// Returns (rgb (H, W, 3) uint8, depth (H, W) float32 metres with 0 for nothing, ids (H, W)
 /// uint32).
 #[pyfunction]
-#[pyo3(signature = (models, transforms, camera, *, ids=None, floor=Some(0.0), background=[0.55, 0.57, 0.6], shadows=true))]
+#[pyo3(signature = (models, transforms, camera, *, ids=None, floor=Some(0.0), background=[0.55, 0.57, 0.6], shadows=true, device="cpu"))]
 #[allow(clippy::too_many_arguments)]
 fn render_models<'py>(
     py: Python<'py>,
@@ -77,6 +79,7 @@ fn render_models<'py>(
     floor: Option<f32>,
     background: [f32; 3],
     shadows: bool,
+    device: &str,
 ) -> PyResult<Frame<'py>> {
     let view = array::view::<f32>("transforms", transforms, 3, "(N, 4, 4) float32")?;
     let flat = view.as_slice().map_err(|_| input("transforms must be contiguous"))?;
@@ -110,7 +113,11 @@ fn render_models<'py>(
     let scene = Scene { instances, light, background: Vec3::from(background) };
     let options = RenderOptions { shadows, ambient_occlusion: shadows, ..RenderOptions::default() };
     let camera = camera.inner;
-    let frame = enter(py, move || Renderer::new(scene, &options).map(|r| r.render(&camera)))?;
+    let choice = enter(py, || take(device))?;
+    let frame = enter(py, move || {
+        let prepared = choice.prepare(scene, &options)?;
+        Ok::<_, RenderError>(prepared.render(&camera)?)
+    })?;
     let (w, h) = (frame.rgb.width(), frame.rgb.height());
     let rgb = frame.rgb.into_vec().into_flattened();
     Ok((
@@ -118,6 +125,17 @@ fn render_models<'py>(
         array::into_2d(py, frame.depth.into_vec(), w, h)?,
         array::into_2d(py, frame.instance.into_vec(), w, h)?,
     ))
+}
+
+/// What `cpu`, `gpu` or `auto` takes on this machine.
+pub fn take(device: &str) -> Result<Choice, GpuError> {
+    Choice::take(device.parse()?, Software::from_env())
+}
+
+/// Its name.
+#[pyfunction]
+fn render_device(py: Python<'_>, device: &str) -> PyResult<String> {
+    enter(py, || take(device).map(|choice| choice.to_string()))
 }
 
 /// A matt grey square of 20 m.
@@ -139,5 +157,6 @@ fn floor_instance(height: f32) -> Instance {
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Model>()?;
     module.add_function(wrap_pyfunction!(load_model, module)?)?;
+    module.add_function(wrap_pyfunction!(render_device, module)?)?;
     module.add_function(wrap_pyfunction!(render_models, module)?)
 }

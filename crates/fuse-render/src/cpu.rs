@@ -3,16 +3,16 @@
 //! transform → bin → for each tile: raster → shade. What does not depend on the camera (mip
 //! chains, shadow maps, ambient occlusion) is made once in [`Renderer::new`].
 
-mod geometry;
+pub(crate) mod geometry;
 mod lanes;
 mod mask;
-mod occlusion;
+pub(crate) mod occlusion;
 mod points;
-mod raster;
+pub(crate) mod raster;
 mod resolve;
-mod shade;
-mod shadow;
-mod texture;
+pub(crate) mod shade;
+pub(crate) mod shadow;
+pub(crate) mod texture;
 mod transform;
 
 use std::ops::Range;
@@ -35,13 +35,13 @@ use transform::{Sampling, Setup, View};
 ///
 /// Frames are bit-identical for any number of threads and any SIMD level.
 pub struct Renderer {
-    geometry: Geometry,
-    shading: Shading,
+    pub(crate) geometry: Geometry,
+    pub(crate) shading: Shading,
     /// Display-linear.
-    background: Vec3A,
-    near: f32,
+    pub(crate) background: Vec3A,
+    pub(crate) near: f32,
     /// Nonzero instance ids, ascending.
-    ids: Vec<u32>,
+    pub(crate) ids: Vec<u32>,
 }
 
 /// Setups of one view and the tiles they touch.

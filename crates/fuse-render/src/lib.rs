@@ -1,9 +1,10 @@
-//! Observations of a tabletop scene: colour, exact metric depth and instance ids, on the CPU,
-//! bit-identical for any number of threads.
+//! Observations of a tabletop scene: colour, exact metric depth and instance ids. On the CPU,
+//! bit-identical for any number of threads, and with the feature `gpu` on a GPU.
 
 mod cpu;
 mod glb;
 mod gltf;
+pub mod gpu;
 mod light;
 mod model;
 mod obj;

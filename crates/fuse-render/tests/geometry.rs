@@ -2,7 +2,9 @@
 
 mod common;
 
+use common::backends::{Prepared, backends};
 use common::{camera, cuboid, material, model, place, quad, sphere, tabletop};
+use fuse_camera::Camera;
 use fuse_render::{Light, RenderOptions, Renderer, Scene};
 use glam::Vec3;
 use nalgebra::Point3;
@@ -21,7 +23,13 @@ fn plane_depth_is_exact_up_to_the_horizon_and_behind_the_camera() {
     let floor = quad(Vec3::new(-500.0, -500.0, 0.0), Vec3::X * 1000.0, Vec3::Y * 1000.0, 1.0);
     let s = scene(vec![place(model(floor, material([0.5; 3], 0.0, 0.5)), Vec3::ZERO, 0.0, 7)]);
     let cam = camera(160, 120, [0.3, -0.2, 1.4], [1.5, 0.4, 1.1]);
-    let (depth, ids) = Renderer::new(s, &plain()).unwrap().depth_ids(&cam);
+    for r in backends(&s, &plain()) {
+        plane_is_exact(&r, &cam);
+    }
+}
+
+fn plane_is_exact(r: &Prepared, cam: &Camera) {
+    let (depth, ids) = r.depth_ids(cam);
     let eye = cam.pose.center();
     let mut hits = 0;
     for y in 0..120 {
@@ -32,7 +40,8 @@ fn plane_depth_is_exact_up_to_the_horizon_and_behind_the_camera() {
             let inside = eye + (far - eye) * expected;
             if expected.is_finite() && inside.x.abs() < 499.0 && inside.y.abs() < 499.0 {
                 let found = f64::from(*depth.get(x, y));
-                assert!((found / expected - 1.0).abs() < 1e-6, "({x}, {y}): {found} for {expected}");
+                let error = (found / expected - 1.0).abs();
+                assert!(error < r.rounding(), "{}, ({x}, {y}): {found} for {expected}", r.name);
                 assert_eq!(*ids.get(x, y), 7);
                 hits += 1;
             } else if slope <= 0.0 {
@@ -45,11 +54,17 @@ fn plane_depth_is_exact_up_to_the_horizon_and_behind_the_camera() {
 
 #[test]
 fn sphere_depth_and_silhouette_match_the_quadric() {
-    let (r, c) = (0.3f64, Point3::new(1.0, 0.2, 0.9));
     let at = Vec3::new(1.0, 0.2, 0.9);
     let s = scene(vec![place(model(sphere(0.3, 256), material([0.5; 3], 0.0, 0.5)), at, 0.0, 3)]);
     let cam = camera(200, 150, [0.0, 0.0, 1.0], [1.0, 0.1, 0.95]);
-    let (depth, ids) = Renderer::new(s, &plain()).unwrap().depth_ids(&cam);
+    for r in backends(&s, &plain()) {
+        sphere_matches(&r, &cam);
+    }
+}
+
+fn sphere_matches(renderer: &Prepared, cam: &Camera) {
+    let (r, c) = (0.3f64, Point3::new(1.0, 0.2, 0.9));
+    let (depth, ids) = renderer.depth_ids(cam);
     let eye = cam.pose.center();
     let mut wrong_ids = 0;
     for y in 0..150 {
@@ -83,10 +98,11 @@ fn shared_edges_leave_no_holes() {
         *p = Vec3::new((p.x / 0.0531).round() * 0.0531, (p.y / 0.0471).round() * 0.0471, 0.0);
     }
     let s = scene(vec![place(model(mesh, material([0.5; 3], 0.0, 0.5)), Vec3::ZERO, 0.3, 1)]);
-    let r = Renderer::new(s, &plain()).unwrap();
-    for eye in [[0.01, 0.02, 1.0], [0.3, -0.4, 0.7], [0.111, 0.05, 0.33]] {
-        let frame = r.render(&camera(320, 240, eye, [0.0, 0.01, 0.0]));
-        assert!(frame.instance.as_slice().iter().all(|&id| id == 1), "a hole seen from {eye:?}");
+    for r in backends(&s, &plain()) {
+        for eye in [[0.01, 0.02, 1.0], [0.3, -0.4, 0.7], [0.111, 0.05, 0.33]] {
+            let frame = r.render(&camera(320, 240, eye, [0.0, 0.01, 0.0]));
+            assert!(frame.instance.as_slice().iter().all(|&id| id == 1), "{}: a hole seen from {eye:?}", r.name);
+        }
     }
 }
 
@@ -98,9 +114,10 @@ fn near_plane_hides_what_is_closer() {
     let instances = vec![place(model(wall, m()), Vec3::ZERO, 0.0, 1), place(model(far, m()), Vec3::ZERO, 0.0, 2)];
     let cam = camera(32, 24, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
     for (near, id, z) in [(0.01, 1, 0.05), (0.06, 2, 1.0)] {
-        let r = Renderer::new(scene(instances.clone()), &RenderOptions { near, ..plain() }).unwrap();
-        let (depth, ids) = r.depth_ids(&cam);
-        assert_eq!((*ids.get(16, 12), *depth.get(16, 12)), (id, z), "near = {near}");
+        for r in backends(&scene(instances.clone()), &RenderOptions { near, ..plain() }) {
+            let (depth, ids) = r.depth_ids(&cam);
+            assert_eq!((*ids.get(16, 12), *depth.get(16, 12)), (id, z), "{}, near = {near}", r.name);
+        }
     }
 }
 
@@ -111,9 +128,10 @@ fn back_faces_show_on_double_sided_materials_only() {
         let mut m =
             model(quad(Vec3::new(1.0, -1.0, -1.0), Vec3::Y * 2.0, Vec3::Z * 2.0, 1.0), material([0.5; 3], 0.0, 0.5));
         m.materials[0].double_sided = double_sided;
-        let r = Renderer::new(scene(vec![place(m, Vec3::ZERO, 0.0, 5)]), &plain()).unwrap();
-        let (_, ids) = r.depth_ids(&cam);
-        assert_eq!(*ids.get(16, 12), if double_sided { 5 } else { 0 });
+        for r in backends(&scene(vec![place(m, Vec3::ZERO, 0.0, 5)]), &plain()) {
+            let (_, ids) = r.depth_ids(&cam);
+            assert_eq!(*ids.get(16, 12), if double_sided { 5 } else { 0 }, "{}", r.name);
+        }
     }
 }
 
@@ -121,9 +139,10 @@ fn back_faces_show_on_double_sided_materials_only() {
 fn a_mirroring_transform_keeps_the_outside_outside() {
     let mut instance = place(model(cuboid(Vec3::splat(0.2)), material([0.5; 3], 0.0, 0.5)), Vec3::ZERO, 0.0, 4);
     instance.transform = glam::Affine3A::from_scale(Vec3::new(-1.0, 1.0, 1.0));
-    let r = Renderer::new(scene(vec![instance]), &plain()).unwrap();
-    let (depth, _) = r.depth_ids(&camera(33, 25, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]));
-    assert!((depth.get(16, 12) - 0.8).abs() < 1e-6);
+    for r in backends(&scene(vec![instance]), &plain()) {
+        let (depth, _) = r.depth_ids(&camera(33, 25, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]));
+        assert!((depth.get(16, 12) - 0.8).abs() < 1e-6, "{}", r.name);
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ mod common;
 
 use std::path::PathBuf;
 
+use common::backends::backends;
 use common::{camera, material, model, place, quad, room, sphere, tabletop, texture, textured};
 use fuse_render::{Frame, Light, RenderOptions, Renderer, Scene};
 use glam::Vec3;
@@ -45,16 +46,13 @@ fn the_side_towards_the_lamp_is_bright_and_the_other_dark() {
         let scene =
             Scene { instances: vec![ball.clone()], light: dark_light(Vec3::from(lamp), 0.1), background: Vec3::ZERO };
         // Looking along +x, world y points to the image's left.
-        let frame = Renderer::new(scene, &RenderOptions::default()).unwrap().render(&camera(
-            101,
-            101,
-            [-1.2, 0.0, 0.0],
-            [0.0, 0.0, 0.0],
-        ));
-        let (left, right) = (luminance(&frame, 33, 50), luminance(&frame, 67, 50));
-        let (lit, unlit) = if bright > 0 { (left, right) } else { (right, left) };
-        assert!(lit > 0.25 && unlit == 0.0, "lamp at {lamp:?}: left {left}, right {right}");
-        assert_eq!(*frame.rgb.get(1, 1), [0; 3], "background");
+        for r in backends(&scene, &RenderOptions::default()) {
+            let frame = r.render(&camera(101, 101, [-1.2, 0.0, 0.0], [0.0, 0.0, 0.0]));
+            let (left, right) = (luminance(&frame, 33, 50), luminance(&frame, 67, 50));
+            let (lit, unlit) = if bright > 0 { (left, right) } else { (right, left) };
+            assert!(lit > 0.25 && unlit == 0.0, "{}, lamp at {lamp:?}: left {left}, right {right}", r.name);
+            assert_eq!(*frame.rgb.get(1, 1), [0; 3], "background");
+        }
     }
 }
 
@@ -69,11 +67,12 @@ fn lambert_reflection_has_the_stated_brightness() {
         light,
         background: Vec3::ZERO,
     };
-    let frame =
-        Renderer::new(scene, &RenderOptions::default()).unwrap().render(&camera(65, 65, [0.8, 0.0, 1.5], [0.0; 3]));
-    let srgb = f64::from(frame.rgb.get(32, 32)[1]) / 255.0;
-    let linear = ((srgb + 0.055) / 1.055).powf(2.4);
-    assert!((0.30..0.32).contains(&linear), "radiance {linear}, 0.3 diffuse and a little highlight expected");
+    for r in backends(&scene, &RenderOptions::default()) {
+        let frame = r.render(&camera(65, 65, [0.8, 0.0, 1.5], [0.0; 3]));
+        let srgb = f64::from(frame.rgb.get(32, 32)[1]) / 255.0;
+        let linear = ((srgb + 0.055) / 1.055).powf(2.4);
+        assert!((0.30..0.32).contains(&linear), "{}: radiance {linear}, 0.3 and a little highlight expected", r.name);
+    }
 }
 
 #[test]
@@ -87,16 +86,18 @@ fn shadows_are_where_geometry_puts_them_and_soften_with_the_lamp() {
         luminance(frame, u as u32, v as u32)
     };
     for (radius, penumbra) in [(0.0, 0.0), (0.1, 0.1 * 0.5 / 1.5)] {
-        let frame = Renderer::new(plate_over_floor(radius), &RenderOptions::default()).unwrap().render(&cam);
-        let lit = at(&frame, edge + penumbra + 0.02);
-        assert!(lit > 0.5, "lit floor beside the shadow: {lit}");
-        let dark = at(&frame, edge - penumbra - 0.012);
-        assert!(dark < 0.02 * lit, "radius {radius}: umbra {dark}");
-        if penumbra > 0.0 {
-            let share = |y: f64| (f64::from(at(&frame, y) / lit)).powf(2.2);
-            let (outer, middle, inner) = (share(edge + penumbra * 0.5), share(edge), share(edge - penumbra * 0.5));
-            assert!((0.35..0.65).contains(&middle), "half of the lamp at the geometric edge: {middle}");
-            assert!(outer > middle + 0.15 && inner < middle - 0.15, "{inner} < {middle} < {outer}");
+        for r in backends(&plate_over_floor(radius), &RenderOptions::default()) {
+            let frame = r.render(&cam);
+            let lit = at(&frame, edge + penumbra + 0.02);
+            assert!(lit > 0.5, "lit floor beside the shadow: {lit}");
+            let dark = at(&frame, edge - penumbra - 0.012);
+            assert!(dark < 0.02 * lit, "{}, radius {radius}: umbra {dark}", r.name);
+            if penumbra > 0.0 {
+                let share = |y: f64| (f64::from(at(&frame, y) / lit)).powf(2.2);
+                let (outer, middle, inner) = (share(edge + penumbra * 0.5), share(edge), share(edge - penumbra * 0.5));
+                assert!((0.35..0.65).contains(&middle), "half of the lamp at the geometric edge: {middle}");
+                assert!(outer > middle + 0.15 && inner < middle - 0.15, "{inner} < {middle} < {outer}");
+            }
         }
     }
 }
@@ -158,16 +159,18 @@ fn edges_are_anti_aliased_with_the_covered_share() {
         light,
         background: Vec3::ZERO,
     };
-    let frame = Renderer::new(scene, &plain()).unwrap().render(&camera(64, 48, [0.0; 3], [1.0, 0.0, 0.0]));
-    let row: Vec<[u8; 3]> = frame.rgb.as_slice().to_vec();
-    let full = row.iter().map(|c| c[1]).max().unwrap();
-    let linear = |v: u8| (f32::from(v) / f32::from(full)).powf(2.2);
-    let partial = row.iter().filter(|c| (0.05..0.95).contains(&linear(c[1]))).count();
-    assert!((30..=110).contains(&partial), "{partial} pixels of the edge are mixed");
-    // Summed coverage equals the area left of the edge to a fraction of a pixel a row.
-    let covered: f32 = row.iter().map(|c| linear(c[1])).sum();
-    let centers = frame.instance.as_slice().iter().filter(|&&id| id == 1).count() as f32;
-    assert!((covered - centers).abs() < 6.0, "covered {covered}, centres {centers}");
+    for r in backends(&scene, &plain()) {
+        let frame = r.render(&camera(64, 48, [0.0; 3], [1.0, 0.0, 0.0]));
+        let row: Vec<[u8; 3]> = frame.rgb.as_slice().to_vec();
+        let full = row.iter().map(|c| c[1]).max().unwrap();
+        let linear = |v: u8| (f32::from(v) / f32::from(full)).powf(2.2);
+        let partial = row.iter().filter(|c| (0.05..0.95).contains(&linear(c[1]))).count();
+        assert!((30..=110).contains(&partial), "{partial} pixels of the edge are mixed");
+        // Summed coverage equals the area left of the edge to a fraction of a pixel a row.
+        let covered: f32 = row.iter().map(|c| linear(c[1])).sum();
+        let centers = frame.instance.as_slice().iter().filter(|&&id| id == 1).count() as f32;
+        assert!((covered - centers).abs() < 6.0, "{}: covered {covered}, centres {centers}", r.name);
+    }
 }
 
 #[test]
@@ -182,13 +185,12 @@ fn distant_texture_fades_to_its_mean_instead_of_aliasing() {
         light,
         background: Vec3::ZERO,
     };
-    let r = Renderer::new(scene, &plain()).unwrap();
-    let frame = r.render(&camera(120, 90, [0.0, 0.0, 3.0], [10.0, 0.0, 0.0]));
-    for y in 30..60 {
-        for x in 0..120 {
+    for r in backends(&scene, &plain()) {
+        let frame = r.render(&camera(120, 90, [0.0, 0.0, 3.0], [10.0, 0.0, 0.0]));
+        for (x, y) in (30..60).flat_map(|y| (0..120).map(move |x| (x, y))) {
             let l = luminance(&frame, x, y);
             // Mean of black and white in linear light is 0.5, in sRGB 0.735.
-            assert!((l - 0.735).abs() < 0.05, "({x}, {y}): {l}");
+            assert!((l - 0.735).abs() < 0.05, "{}, ({x}, {y}): {l}", r.name);
         }
     }
 }

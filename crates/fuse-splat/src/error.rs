@@ -33,8 +33,7 @@ impl SplatError {
     pub fn is_failure(&self) -> bool {
         #[cfg(feature = "gpu")]
         if let Self::Gpu(e) = self {
-            use fuse_camera::gpu::GpuError;
-            return matches!(e, GpuError::Open { .. } | GpuError::Failed(_));
+            return e.is_failure();
         }
         false
     }

@@ -23,6 +23,7 @@ RUNTIME_SETTINGS = {
     "segmenter.weights": "where the file lies; its bytes count, under `weights`",
     "gate.planner": "where the file lies; its bytes count, under `weights`",
     "map.device": "what was wished for; what was taken counts, under `device`",
+    "render.device": "what was wished for; what was taken counts, under `render_device`",
 }
 """Settings without influence on a result, each with the reason; every other setting is identity."""
 
@@ -40,6 +41,7 @@ _MEANINGS = {
     "packages": "with other packages",
     "simd_level": "at another SIMD level",
     "device": "on another device",
+    "render_device": "with pictures of another device",
 }
 
 
@@ -58,6 +60,7 @@ def identity(config: Config, episodes: Sequence[Episode], provenance: Mapping[st
         "packages": provenance["packages"],
         "simd_level": provenance["simd_level"],
         "device": provenance["device"],
+        "render_device": provenance["render_device"],
     }
 
 
@@ -109,7 +112,8 @@ def _settings(config: Config) -> dict[str, Any]:
         for section in sections:
             table = table[section]
         del table[last]
-    return settings
+    # A section of runtime settings only leaves nothing to compare.
+    return {key: value for key, value in settings.items() if value != {}}
 
 
 def _first_difference(found: Any, wanted: Any, key: str) -> str | None:

@@ -38,10 +38,11 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def provenance(device: str, **files: Path) -> dict[str, Any]:
+def provenance(device: str, render_device: str, **files: Path) -> dict[str, Any]:
     """Versions of everything that computes, and digests of `files` by name.
 
-    `device` is what maps are trained on, from `splat.device_name`.
+    `device` is what maps are trained on, from `splat.device_name`; `render_device` what the tabletop world
+    is rendered on.
     """
     packages = {}
     for name in _PACKAGES:
@@ -56,6 +57,7 @@ def provenance(device: str, **files: Path) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "simd_level": _core.simd_level,
         "device": device,
+        "render_device": render_device,
         "packages": packages,
         "sha256": {name: sha256(path) for name, path in files.items() if path.exists()},
     }

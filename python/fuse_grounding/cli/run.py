@@ -96,7 +96,7 @@ def command(
     agent = Agent(settings)
     with interruptible():
         episode = make_episode(verb, scene, seed, query=query)
-    environment = TabletopEnvironment(episode)
+    environment = TabletopEnvironment(episode, agent.config.render.device)
     folder = prepare(out, force)
     files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)
     narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")

@@ -13,7 +13,7 @@ from fuse_grounding.environment.episodes import (
 from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.environment.replay import ReplayEnvironment
 from fuse_grounding.environment.sets import SETS, generate_set
-from fuse_grounding.environment.tabletop import TabletopEnvironment, Target
+from fuse_grounding.environment.tabletop import TabletopEnvironment, Target, render_device
 
 __all__ = [
     "SETS",
@@ -29,6 +29,7 @@ __all__ = [
     "load_episodes",
     "load_generation",
     "make_episode",
+    "render_device",
     "save_episodes",
     "scene_names",
 ]

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from fuse_grounding import _core
 from fuse_grounding._core import Camera, World, action_mask, apply_action, seed_viewpoints
-from fuse_grounding.arguments import whole
+from fuse_grounding.arguments import device_wish, whole
 from fuse_grounding.environment.episodes import Episode, stage
 from fuse_grounding.environment.protocol import Observation
 
@@ -42,12 +43,27 @@ class Target:
         return self.visible_px / np.maximum(self.unoccluded_px, 1)
 
 
-class TabletopEnvironment:
-    """An episode to act in. `episode` is what it plays; observations carry true instance ids."""
+def render_device(device: str = "auto") -> str:
+    """What `device` renders on here, as `cpu (avx2+fma)` or `gpu (NVIDIA L4, Vulkan)`.
 
-    def __init__(self, episode: Episode):
+    Raises InputError for another wish than `cpu`, `gpu` and `auto`, and for `gpu` where there is none.
+    """
+    return _core.render_device(device_wish(device))
+
+
+class TabletopEnvironment:
+    """An episode to act in. `episode` is what it plays; observations carry true instance ids.
+
+    `device` renders: `cpu`, the same bits for everybody; `gpu`, whose pixels differ here and there by a
+    rounding; `auto`, a real GPU if there is one, else the CPU. Raises InputError for `gpu` where there is
+    none.
+    """
+
+    def __init__(self, episode: Episode, device: str = "cpu"):
         self.episode = episode
-        self._world = World(episode.text, stage())
+        self.device = render_device(device)
+        """What it renders on, by name."""
+        self._world = World(episode.text, stage(), device)
         self._viewpoint = episode.start
         self._statistics: list[dict[str, Any]] | None = episode.statistics
 

@@ -62,7 +62,7 @@ fn an_episode_keeps_its_promises() {
     // object alone.
     let world = World::load(e, stage()).unwrap();
     let (start, best) = (e.start().unwrap(), e.best().unwrap());
-    let frame = world.render(start);
+    let frame = world.render(start).unwrap();
     let visible = frame.instance.as_slice().iter().filter(|id| **id == e.target).count() as u32;
     assert_eq!((visible, visible), (statistics[0].visible_px[start.index()], e.start_px));
     let scene = stage().scene(&e.scene_id).unwrap();

@@ -9,14 +9,14 @@ use crate::{Scene, SceneError};
 const MAX_TRIANGLES: usize = 1 << 26;
 
 /// A run of triangles with one id and one surface.
-pub(super) struct Part {
+pub(crate) struct Part {
     pub id: u32,
     pub surface: u32,
     pub double_sided: bool,
 }
 
 /// A material ready for shading.
-pub(super) struct Surface {
+pub(crate) struct Surface {
     /// Linear factor on the texture.
     pub base: Vec3A,
     pub texture: Option<std::sync::Arc<MipChain>>,
@@ -27,7 +27,7 @@ pub(super) struct Surface {
 /// A vertex, all in one place: half a cache line.
 #[derive(Clone, Copy)]
 #[repr(C, align(32))]
-pub(super) struct Vertex {
+pub(crate) struct Vertex {
     pub position: Vec3,
     /// Unit.
     pub normal: Vec3,
@@ -35,7 +35,7 @@ pub(super) struct Vertex {
 }
 
 /// World-space triangles; vertex arrays are parallel, triangle arrays are parallel.
-pub(super) struct Geometry {
+pub(crate) struct Geometry {
     pub positions: Vec<Vec3>,
     /// The same with what is interpolated along.
     pub vertices: Vec<Vertex>,

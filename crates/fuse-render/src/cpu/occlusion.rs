@@ -27,22 +27,22 @@ const DISTANCE: f32 = 8.0;
 /// Blockers farther away than this do not count, metres; nearer ones count the more, the nearer.
 const REACH: f32 = 0.35;
 /// Makes up for the light that `REACH` lets through.
-const GAIN: f32 = 1.35;
+pub(crate) const GAIN: f32 = 1.35;
 /// The effect fades over this distance at the border of the grid, metres.
-const FADE: f32 = 0.06;
+pub(crate) const FADE: f32 = 0.06;
 
 /// A cell that nothing blocks.
 const OPEN: [u8; 4] = [0, 128, 128, 128];
 
 /// The grid.
-pub(super) struct Occlusion {
-    low: Vec3A,
-    high: Vec3A,
-    cell: f32,
-    size: UVec3,
+pub(crate) struct Occlusion {
+    pub low: Vec3A,
+    pub high: Vec3A,
+    pub cell: f32,
+    pub size: UVec3,
     /// `o0`, `o1` in [0, 1] and [-½, ½], as bytes, `o0` the lowest. Rows begin and end with a copy of
     /// their first and last cell, so that neighbours are read in one.
-    cells: Vec<u32>,
+    pub cells: Vec<u32>,
 }
 
 /// One direction's depth map.
@@ -142,7 +142,7 @@ impl Occlusion {
 
     /// Blocked shares `(of the cosine hemisphere around the normal, along `direction`)`.
     #[inline(always)]
-    pub fn at<V: F32x8>(&self, position: V3<V>, normal: V3<V>, direction: V3<V>) -> (V, V) {
+    pub(super) fn at<V: F32x8>(&self, position: V3<V>, normal: V3<V>, direction: V3<V>) -> (V, V) {
         let p = position + normal.scale(V::splat(self.cell));
         let (low, high) = (p - V3::splat(self.low), V3::splat(self.high) - p);
         let border = low.x.min(low.y).min(low.z).min(high.x.min(high.y).min(high.z));

@@ -21,10 +21,10 @@ pub(super) const TILE_HEIGHT: usize = 16;
 /// Side of the blocks whose corners are evaluated in double precision.
 pub(super) const BLOCK: usize = 8;
 /// Samples of a pixel, and pixels of a group.
-pub(super) const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 
 /// Sample offsets from the pixel centre, pixels. The first is the centre, their mean is zero.
-pub(super) const SAMPLES: [[f32; 2]; LANES] = [
+pub(crate) const SAMPLES: [[f32; 2]; LANES] = [
     [0.0, 0.0],
     [-0.0625, 0.25],
     [0.3125, 0.0],

@@ -11,30 +11,34 @@ use super::shadow::Shadow;
 use super::transform::Setup;
 use crate::Light;
 
+/// The tone curve is straight up to here, and how fast colours beyond it turn white.
+pub(crate) const TONE_START: f32 = 0.76;
+pub(crate) const TONE_DESATURATION: f32 = 0.15;
+
 /// What shading reads; made once for a scene.
-pub(super) struct Shading {
-    light: Lamp,
-    shadow: Option<Shadow>,
-    occlusion: Option<Occlusion>,
+pub(crate) struct Shading {
+    pub light: Lamp,
+    pub shadow: Option<Shadow>,
+    pub occlusion: Option<Occlusion>,
     pub encode: SrgbTable,
 }
 
 /// The light, ready for use.
-struct Lamp {
-    position: Vec3A,
-    radius: f32,
-    intensity: Vec3A,
-    sky: Vec3A,
-    ground: Vec3A,
-    soft_boxes: Vec<Patch>,
-    exposure: f32,
+pub(crate) struct Lamp {
+    pub position: Vec3A,
+    pub radius: f32,
+    pub intensity: Vec3A,
+    pub sky: Vec3A,
+    pub ground: Vec3A,
+    pub soft_boxes: Vec<Patch>,
+    pub exposure: f32,
 }
 
 /// A soft box; see [`crate::SoftBox`].
-struct Patch {
-    direction: Vec3A,
-    color: Vec3A,
-    sharpness: f32,
+pub(crate) struct Patch {
+    pub direction: Vec3A,
+    pub color: Vec3A,
+    pub sharpness: f32,
 }
 
 impl Lamp {
@@ -273,20 +277,18 @@ impl Shading {
     /// without its toe), in [0, 1].
     #[inline(always)]
     fn display<V: F32x8>(&self, radiance: V3<V>) -> V3<V> {
-        const START: f32 = 0.76;
-        const DESATURATION: f32 = 0.15;
         let (zero, one) = (V::zero(), V::splat(1.0));
         let c = radiance.scale(V::splat(self.light.exposure));
         let peak = c.max_element();
         let low = V3 { x: c.x.max(zero), y: c.y.max(zero), z: c.z.max(zero) };
-        let bright = peak.ge(V::splat(START));
+        let bright = peak.ge(V::splat(TONE_START));
         if bright.mask_bits() == 0 {
             return low;
         }
-        let d = V::splat(1.0 - START);
-        let new_peak = one - d * d / (peak.max(V::splat(START)) + d - V::splat(START));
-        let g = one - one / (V::splat(DESATURATION) * (peak - new_peak).max(zero) + one);
-        let high = c.scale(new_peak / peak.max(V::splat(START))).lerp(V3::all(new_peak), g);
+        let d = V::splat(1.0 - TONE_START);
+        let new_peak = one - d * d / (peak.max(V::splat(TONE_START)) + d - V::splat(TONE_START));
+        let g = one - one / (V::splat(TONE_DESATURATION) * (peak - new_peak).max(zero) + one);
+        let high = c.scale(new_peak / peak.max(V::splat(TONE_START))).lerp(V3::all(new_peak), g);
         let high = V3 { x: clamp(high.x, 0.0, 1.0), y: clamp(high.y, 0.0, 1.0), z: clamp(high.z, 0.0, 1.0) };
         high.select(bright, low)
     }
@@ -325,10 +327,10 @@ fn environment_brdf<V: F32x8>(f0: V3<V>, roughness: V, nv: V) -> V3<V> {
 }
 
 /// Linear [0, 1] to sRGB bytes.
-pub(super) struct SrgbTable(Vec<u8>);
+pub(crate) struct SrgbTable(Vec<u8>);
 
 impl SrgbTable {
-    const SIZE: usize = 1 << 14;
+    pub(crate) const SIZE: usize = 1 << 14;
 
     pub fn new() -> Self {
         let byte = |i: usize| {

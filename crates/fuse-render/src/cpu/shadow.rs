@@ -9,7 +9,7 @@
 //! and serves wide discs at coarse levels. No random numbers: shadows stay put when the camera
 //! moves.
 
-mod baked;
+pub(crate) mod baked;
 mod disc;
 
 use fuse_camera::simd::{self, F32x8};
@@ -26,22 +26,22 @@ use baked::Baked;
 use disc::{Disc, DiscSum};
 
 /// Gap below which nothing is thought to block, metres: hides the facets of curved things.
-const BIAS: f32 = 0.0012;
+pub(crate) const BIAS: f32 = 0.0012;
 /// Depths below this are not looked up, metres.
-const NEAREST: f32 = 0.02;
+pub(crate) const NEAREST: f32 = 0.02;
 /// Steepest slope of a receiver: tangent of its angle to the map's plane.
-const STEEPEST: f32 = 24.0;
+pub(crate) const STEEPEST: f32 = 24.0;
 /// Widest view of the map: tangent of the angle off the vertical.
 const MAX_TANGENT: f32 = 2.5;
 /// Widest disc that is summed at one level, texels.
-const MAX_DISC: f32 = 4.0;
+pub(crate) const MAX_DISC: f32 = 4.0;
 
 /// Extreme inverse depths of 2^level blocks of texels, row by row.
-struct Level {
-    side: usize,
+pub(crate) struct Level {
+    pub side: usize,
     /// Of what is nearest to the lamp.
-    near: Vec<f32>,
-    far: Vec<f32>,
+    pub near: Vec<f32>,
+    pub far: Vec<f32>,
 }
 
 impl Level {
@@ -67,15 +67,15 @@ impl Level {
 }
 
 /// What the lamp sees of one box.
-struct Map {
+pub(crate) struct Map {
     /// Lamp's centre.
-    position: Vec3,
-    focal: f32,
+    pub position: Vec3,
+    pub focal: f32,
     /// Texel of the point straight below the lamp.
-    center: Vec2,
-    radius: f32,
-    levels: Vec<Level>,
-    baked: Baked,
+    pub center: Vec2,
+    pub radius: f32,
+    pub levels: Vec<Level>,
+    pub baked: Baked,
 }
 
 /// Eight points in a map.
@@ -91,8 +91,8 @@ struct Plane<V> {
 }
 
 /// Shadow maps: a fine one around the things, a coarse one for the room.
-pub(super) struct Shadow {
-    maps: Vec<Map>,
+pub(crate) struct Shadow {
+    pub maps: Vec<Map>,
 }
 
 impl Shadow {
@@ -108,7 +108,7 @@ impl Shadow {
     /// Share of the lamp that points on surfaces with these unit normals see, in [0, 1], where
     /// `asked` is set.
     #[inline(always)]
-    pub fn visibility<V: F32x8>(&self, position: V3<V>, normal: V3<V>, asked: V) -> V {
+    pub(super) fn visibility<V: F32x8>(&self, position: V3<V>, normal: V3<V>, asked: V) -> V {
         let mut out = V::splat(1.0);
         let mut left = asked;
         for map in &self.maps {

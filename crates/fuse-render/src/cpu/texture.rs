@@ -14,35 +14,35 @@ use super::lanes::{V3, clamp, less};
 use crate::Texture;
 
 /// Most taps along the long axis of a footprint.
-const MAX_TAPS: f32 = 4.0;
+pub(crate) const MAX_TAPS: f32 = 4.0;
 /// Length of a footprint that one tap serves, in widths.
-const ASPECT: f32 = 1.6;
+pub(crate) const ASPECT: f32 = 1.6;
 /// How much longer than the texels of its level a tap's part of the footprint may be.
-const STRETCH: f32 = 1.3;
+pub(crate) const STRETCH: f32 = 1.3;
 /// Share of the way from one level to the next over which the nearer one is taken alone, at each end.
-const ALONE: f32 = 0.35;
+pub(crate) const ALONE: f32 = 0.35;
 /// Largest value of a channel.
-const ONE: f32 = 1023.0;
+pub(crate) const ONE: f32 = 1023.0;
 
 /// Side of the squares that texels are kept in, a power of two: what is near in the picture is
 /// near in memory.
-const SQUARE: u32 = 1 << SHIFT;
+pub(crate) const SQUARE: u32 = 1 << SHIFT;
 const SHIFT: i32 = 4;
 /// Words of a row of a square: its texels, and the one to the right of them once more, so that
 /// neighbours are read in one.
-const ROW: u32 = SQUARE + 1;
+pub(crate) const ROW: u32 = SQUARE + 1;
 
-struct Level {
-    width: u32,
-    height: u32,
+pub(crate) struct Level {
+    pub width: u32,
+    pub height: u32,
     /// Squares of a row of them.
-    across: u32,
+    pub across: u32,
     /// `r << 20 | g << 10 | b`, square by square.
-    texels: Vec<u32>,
+    pub texels: Vec<u32>,
 }
 
 /// A texture and its smaller copies, made when first sampled: depth and ids need none.
-pub(super) struct MipChain {
+pub(crate) struct MipChain {
     texture: Arc<Texture>,
     levels: OnceLock<Vec<Level>>,
 }
@@ -70,7 +70,8 @@ impl MipChain {
         Self { texture, levels: OnceLock::new() }
     }
 
-    fn levels(&self) -> &[Level] {
+    /// Finest first.
+    pub fn levels(&self) -> &[Level] {
         self.levels.get_or_init(|| {
             let mut levels = vec![Level::new(&self.texture)];
             while let Some(next) = levels.last().and_then(Level::half) {
@@ -86,7 +87,7 @@ impl MipChain {
     /// The level follows the short axis of the footprint; up to [`MAX_TAPS`] trilinear taps run
     /// along the long one, each for a part of it that is up to [`ASPECT`] times as long as wide.
     #[inline(always)]
-    pub fn sample<V: F32x8>(&self, uv: V2<V>, du: V2<V>, dv: V2<V>) -> V3<V> {
+    pub(super) fn sample<V: F32x8>(&self, uv: V2<V>, du: V2<V>, dv: V2<V>) -> V3<V> {
         let levels = self.levels();
         let size = [V::splat(levels[0].width as f32), V::splat(levels[0].height as f32)];
         let (a, b) = (length(du, size), length(dv, size));

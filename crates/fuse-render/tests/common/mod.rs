@@ -1,6 +1,10 @@
 //! Shapes and a small tabletop for tests.
 #![allow(dead_code)]
 
+pub mod backends;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+
 use std::f32::consts::{PI, TAU};
 use std::sync::Arc;
 

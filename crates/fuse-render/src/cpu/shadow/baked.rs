@@ -20,23 +20,23 @@ const BLOCK: usize = 8;
 /// A surface nearer than this behind another one is not a layer of its own, metres.
 const APART: f32 = 0.003;
 /// Distance from a layer's surface within which a point is thought to lie on it, metres.
-const ON: f32 = 0.004;
+pub(crate) const ON: f32 = 0.004;
 /// Largest fixed-point inverse depth.
-const STEPS: f32 = 16_777_215.0;
+pub(crate) const STEPS: f32 = 16_777_215.0;
 /// Least weight of texels that a point must lie on.
-const ENOUGH: f32 = 0.2;
+pub(crate) const ENOUGH: f32 = 0.2;
 
 /// The layers, each texel `inverse depth << 8 | share`, both as fractions of their largest value.
 /// Rows begin and end with an empty texel, so that neighbours are read in one.
 #[derive(Default)]
-pub(super) struct Baked {
-    layers: [Vec<u32>; 2],
+pub(crate) struct Baked {
+    pub layers: [Vec<u32>; 2],
     /// Texels along a side: half of the map's, about a millimetre on a table.
-    side: usize,
+    pub side: usize,
     /// Inverse depth that the largest fixed-point value stands for.
-    nearest: f32,
+    pub nearest: f32,
     /// Layer texels for each texel of the map.
-    scale: f32,
+    pub scale: f32,
 }
 
 impl Baked {
@@ -119,7 +119,7 @@ impl Baked {
     ///
     /// `plane` in texels of the map.
     #[inline(always)]
-    pub fn share<V: F32x8>(&self, plane: &Plane<V>) -> (V, V) {
+    pub(super) fn share<V: F32x8>(&self, plane: &Plane<V>) -> (V, V) {
         let scale = V::splat(self.scale);
         let half = V::splat(0.5);
         let one = V::splat(1.0);
