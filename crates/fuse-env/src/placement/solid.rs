@@ -68,11 +68,8 @@ impl Solid {
             let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
             hulls.extend(compound::decompose(&triangles, hollow, most));
         }
-        let shapes: Vec<(Pose, SharedShape)> = hulls
-            .into_iter()
-            .filter_map(polyhedron)
-            .map(|p| (Pose::identity(), SharedShape::new(Piece(p))))
-            .collect();
+        let shapes: Vec<(Pose, SharedShape)> =
+            hulls.into_iter().filter_map(polyhedron).map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
         if shapes.is_empty() {
             return None;
         }
