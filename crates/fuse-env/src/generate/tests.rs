@@ -4,7 +4,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-
 use super::*;
 use crate::episode::{self, EpisodeSet, Witness};
 use crate::world::World;
