@@ -319,7 +319,11 @@ mod tests {
     #[test]
     fn shipped_scenes_are_sound() {
         let scenes = parse("scenes.json", SHIPPED).unwrap();
-        assert!(scenes.iter().filter(|s| !s.weak_texture).count() >= 2);
+        let used: Vec<_> = scenes.iter().filter(|s| !s.weak_texture).collect();
+        let of = |split| used.iter().filter(|s| s.split == split).count();
+        assert_eq!(Split::ALL.map(of), [2, 1, 6]);
+        let styles: std::collections::HashSet<_> = used.iter().map(|s| s.clutter.style).collect();
+        assert_eq!(styles.len(), 6, "a clutter style has no scene");
         assert!(scenes.iter().any(|s| s.weak_texture));
         assert!(find(&scenes, "dev_kitchn").unwrap_err().to_string().contains("dev_kitchen"));
     }

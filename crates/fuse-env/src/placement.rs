@@ -8,7 +8,6 @@ pub mod check;
 pub mod compound;
 pub mod layout;
 mod piece;
-mod plan;
 pub mod settle;
 pub mod solid;
 

@@ -48,7 +48,7 @@ impl Grid {
         let mut heights: Vec<Option<f32>> = (0..nx * ny).map(|k| seen(grid.at(k))).collect();
         // What a ray misses inside the outline is a hole in the floor: water would not get far there.
         let empty: Vec<bool> = heights.iter().map(Option::is_none).collect();
-        let border = |k: usize| k % nx == 0 || k % nx == nx - 1 || k < nx || k >= nx * (ny - 1);
+        let border = |k: usize| k.is_multiple_of(nx) || k % nx == nx - 1 || k < nx || k >= nx * (ny - 1);
         let mut outside: Vec<bool> = (0..nx * ny).map(border).collect();
         let mut queue: Vec<usize> = (0..nx * ny).filter(|&k| outside[k]).collect();
         while let Some(k) = queue.pop() {

@@ -5,13 +5,15 @@
 //! hulls do not touch do not touch either. Where a cut goes is decided by the volume of the hulls on
 //! both sides; what a piece itself holds is an integral over its triangles and the caps of its cuts.
 
-use rapier3d::glamx::{DVec3, Vec3};
+use rapier3d::glamx::{DVec3, Quat, Vec3};
 use rapier3d::parry::transformation::try_convex_hull;
 
 /// How far a vertex may lie outside of the simplified hull of its piece, metres.
 pub const TOLERANCE: f32 = 3e-4;
 /// A piece whose hull holds so little more than itself, in metres over half its hull's surface, is left whole.
 const GOOD: f64 = 4e-4;
+/// What a cut into unequal parts costs: where none gains anything, a ring must still be halved.
+const UNEVEN: f64 = 0.02;
 /// Empty volume that is worth a cut, m³.
 const WORTH: f64 = 1e-7;
 
@@ -222,7 +224,7 @@ fn best_cut(piece: &Piece, middle: Vec3, directions: &[Vec3]) -> Option<Plane> {
         .chain(radial().into_iter().map(|normal| Plane::new(normal, middle)))
         .filter_map(|plane| {
             let [below, over] = split(piece, &plane, directions)?;
-            Some((below + over + 0.02 * (below - over).abs() / whole.max(1e-12) * whole, plane))
+            Some((below + over + UNEVEN * (below - over).abs() / whole.max(1e-12) * whole, plane))
         })
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map(|best| best.1)
@@ -257,11 +259,9 @@ fn volume(points: &[Vec3], directions: &[Vec3]) -> f64 {
     Hull::of(&extreme(points, directions)).map_or(0.0, |h| h.measure().0)
 }
 
-/// Normals of eight planes through a vertical axis, evenly around.
+/// Normals of eight planes through a vertical axis, evenly around; a little off the models' own vertices.
 fn radial() -> [Vec3; 8] {
-    std::array::from_fn(|i| {
-        Vec3::from(rapier3d::glamx::Quat::from_rotation_z((i as f32 + 0.013) * std::f32::consts::PI / 8.0) * Vec3::X)
-    })
+    std::array::from_fn(|i| Quat::from_rotation_z((i as f32 + 0.013) * std::f32::consts::PI / 8.0) * Vec3::X)
 }
 
 /// Where a vessel is hollow: cuts that are made before any other.

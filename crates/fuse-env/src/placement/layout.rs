@@ -1,4 +1,7 @@
-//! Where things are let go: on the table, or where another holds them. The physics then decides.
+//! Where things are let go, by clutter style: which of them stand on the table, and which stand in,
+//! lie on or lean against another. The physics then decides.
+
+mod plan;
 
 use glam::Quat as Rotation;
 use rand::RngExt;
@@ -7,12 +10,13 @@ use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::math::Pose;
 use rapier3d::parry::query::{ShapeCastOptions, cast_shapes};
 
-use super::plan::plan;
-pub use super::plan::{Hold, Thing};
 use super::settle::{Top, pose};
 use super::solid::Solid;
 use super::{Item, PlacementError, Rest, Surface, direction, place};
 use crate::configuration::ClutterStyle;
+use plan::plan;
+
+pub use plan::{Hold, Thing};
 
 /// Height from which things are lowered, above the table, metres.
 const ABOVE: f32 = 0.9;
@@ -20,7 +24,6 @@ const ABOVE: f32 = 0.9;
 const GAP: f32 = 5e-4;
 /// Places that are tried for a thing on another.
 const TRIES: usize = 12;
-
 /// Poses at which things are let go (world from model, metres), and what shall hold them.
 #[derive(Clone, Debug)]
 pub struct Proposal {

@@ -80,6 +80,20 @@ impl Solid {
         Some(Self { pieces, compound, mass, parts, samples, bounds, cavity })
     }
 
+    /// How far a point is outside of the piece that it is least outside of: the largest distance from the planes of that
+    /// piece's faces, metres; negative inside.
+    pub fn outside_pieces(&self, p: Vec3) -> f32 {
+        let pieces = self.compound.as_compound().map_or(&[][..], |c| c.shapes());
+        let outside = |piece: &Piece| {
+            let faces = piece.0.faces().iter().map(|f| {
+                let corner = piece.0.points()[piece.0.vertices_adj_to_face()[f.first_vertex_or_edge as usize] as usize];
+                f.normal.dot(p - corner)
+            });
+            faces.fold(f32::MIN, f32::max)
+        };
+        pieces.iter().filter_map(|(_, s)| s.as_shape::<Piece>()).map(outside).fold(f32::MAX, f32::min)
+    }
+
     /// Extent along the model's axes, metres.
     pub fn size(&self) -> Vec3 {
         self.bounds[1] - self.bounds[0]

@@ -1,14 +1,14 @@
-//! What holds what, by clutter style: which things stand in, lie on or lean against others.
+//! Which things a clutter style puts in, on or against which others.
 
 use glam::Quat as Rotation;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rapier3d::glamx::Vec3;
 
-use super::solid::Solid;
-use super::{Item, Rest};
 use crate::catalogue::Category;
 use crate::configuration::ClutterStyle;
+use crate::placement::solid::Solid;
+use crate::placement::{Item, Rest};
 
 /// Most things in, on and against one host.
 const CAPACITY: [usize; 3] = [3, 2, 2];
