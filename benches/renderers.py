@@ -5,17 +5,16 @@
     python benches/renderers.py --peers-python PATH       # peers of another environment
     python benches/renderers.py --only FUSE MuJoCo        # rows whose names begin so
 
-A brick room with a table and twelve textured objects, about 130,000 triangles, 640x480, 36 views of the ring.
-Each renderer runs in a process of its own, with as many threads as it takes on this machine, and draws the same
-GLB files with the same cameras (`renderers/scene.py`). Frames per second are means of the rounds over all views;
-they include reading back to NumPy arrays, and neither loading nor set-up, which is a column of its own. Ids and
-depths of every peer are compared with ours over all views: a wrong camera or a missing object is said in the
-table. Ours keeps shadow and ambient occlusion from set-up, as nothing in an episode moves; peers draw their
-shadow maps for each picture, since they have no way to keep them.
+A brick room with a table and twelve textured objects, about 130,000 triangles, 640x480, 36 views of the
+ring. Each renderer runs in a process of its own, with as many threads as it takes on this machine, and draws
+the same GLB files with the same cameras (`renderers/scene.py`). Frames per second are means of the rounds over
+all views; they include reading back to NumPy arrays, and neither loading nor set-up, which is a column of its
+own. Ids and depths of every peer are compared with ours over all views: a wrong camera or a missing object is
+said in the table. Ours keeps shadow and ambient occlusion from set-up, as nothing in an episode moves; peers
+draw their shadow maps for each picture.
 
-Peers that draw by OpenGL need Mesa's software driver: `apt-get install libegl1 libgl1 libgl1-mesa-dri`
-(and `libosmesa6` for OSMesa instead of EGL, which is not measured). One that is not there gets a row that says
-so. Wants a machine that does nothing else.
+Peers that draw by OpenGL need Mesa's software driver: `apt-get install libegl1 libgl1 libgl1-mesa-dri`. A peer
+that is not there gets a row that says so. Wants a machine that does nothing else.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from renderers import runs, scene, table
 
 VIEW = 3
@@ -55,7 +53,7 @@ def prepared(folder: Path, width: int, height: int, views: int) -> scene.Scene:
 def compare(
     wanted: list[runs.Run], peers: Path, folder: Path, out: Path, rounds: int, limit: float, view: int = VIEW
 ) -> list[dict[str, Any]]:
-    """Rows of the table; writes `sheet.png` into `out`. Pictures are compared with those of the first of ours."""
+    """Rows of the table; writes `sheet.png` into `out`. Pictures are compared with the first of ours."""
     rows, pictures, reference = [], [], None
     for k, run in enumerate(wanted):
         print(f"{run.name}, {run.light}", file=sys.stderr)

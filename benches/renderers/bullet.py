@@ -10,9 +10,9 @@ import numpy as np
 import pybullet
 from PIL import Image
 
+from renderers.gl_matrices import clip_from_camera, gl_camera
 from renderers.glb import Part
 from renderers.scene import Scene, View
-from renderers.gl_matrices import clip_from_camera, gl_camera
 
 PACKAGE = "pybullet"
 NEAR, FAR = 0.05, 20.0

@@ -1,5 +1,5 @@
-"""MuJoCo's renderer on EGL. Variants: `default` (as `mujoco.Renderer` comes: shadow map of 4096², four samples),
-`tuned` (2048², one sample; colour and depth read at once) and `tuned_plain` (the same without shadow)."""
+"""MuJoCo's renderer on EGL. Variants: `default` (as `mujoco.Renderer` comes: shadow map of 4096², four
+samples), `tuned` (2048², one sample; colour and depth read at once), `tuned_plain` (the same, no shadow)."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ def build(scene: Scene, tuned: bool) -> tuple[Any, np.ndarray]:
         mesh = spec.add_mesh()
         mesh.name = f"m{k}"
         mesh.uservert, mesh.usernormal = part.positions.ravel(), part.normals.ravel()
-        # MuJoCo's v grows upwards.
-        mesh.usertexcoord = (part.uvs * [1, -1] + [0, 1]).ravel()
+        mesh.usertexcoord = part.uvs.ravel()
         mesh.userface = part.triangles.ravel()
         mesh.userfacenormal = mesh.userfacetexcoord = part.triangles.ravel()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

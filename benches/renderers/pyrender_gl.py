@@ -8,17 +8,17 @@ from typing import Any
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import numpy as np
+from PIL import Image
+
+from renderers.gl_matrices import gl_camera
+from renderers.scene import Scene, View
 
 # pyrender 0.1.45 is older than NumPy 2, which has neither.
 for _name, _value in (("infty", np.inf), ("float_", np.float64)):
     if not hasattr(np, _name):
         setattr(np, _name, _value)
 
-import pyrender
-from PIL import Image
-
-from renderers.scene import Scene, View
-from renderers.gl_matrices import gl_camera
+import pyrender  # noqa: E402
 
 PACKAGE = "pyrender"
 NEAR, FAR = 0.05, 20.0
@@ -55,7 +55,7 @@ class Renderer:
             self._nodes[node] = (number, 0, 0)
         lamp = np.eye(4)
         lamp[:3, 3] = scene.lamp
-        self._scene.add(pyrender.PointLight(color=[1, 1, 1], intensity=18.0), pose=lamp)
+        self._scene.add(pyrender.PointLight(color=[1, 1, 1], intensity=45.0), pose=lamp)
         view = scene.views[0]
         self._camera = self._scene.add(
             pyrender.IntrinsicsCamera(*view.intrinsics, znear=NEAR, zfar=FAR), pose=np.eye(4)

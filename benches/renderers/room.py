@@ -21,7 +21,6 @@ def photograph(folder: Path, scenes: dict[str, Any], places: list[Any]) -> dict[
     Even light without a lamp gives back the base colour; the objects wait below the floor.
     """
     from fuse_grounding._core import Camera, Stage, World
-
     from renderers.scene import EVEN, episode
 
     shape = scenes["scenes"][0]
@@ -85,7 +84,7 @@ def photograph(folder: Path, scenes: dict[str, Any], places: list[Any]) -> dict[
     width, depth = table["size_m"]
     top = np.array([0, 0, table["height_m"]])
     made["top"] = take(laid, top, (1, 0, 0), (0, -1, 0), (width, depth), table["top"]["texels"])
-    edge = top + (0, -depth / 2, -0.015)
+    edge = top + np.array([0, -depth / 2, -0.015])
     made["frame"] = take(laid, edge, (1, 0, 0), (0, 0, -1), (width, 0.028), 512)
     return made
 
@@ -175,10 +174,10 @@ def table_parts(table: dict[str, Any], pictures: dict[str, np.ndarray]) -> list[
     for sx in (-1, 1):
         for sy in (-1, 1):
             at = np.array([cx + sx * fx, cy + sy * fy, 0])
-            frame += cuboid(at - (0.03, 0.03, 0), at + (0.03, 0.03, under), wood)
+            frame += cuboid(at - (0.03, 0.03, 0), at + np.array([0.03, 0.03, under]), wood)
     for side in (-1, 1):
         low = np.array([cx - fx, cy + side * fy - 0.012, under - 0.08])
-        frame += cuboid(low, low + (2 * fx, 0.024, 0.08), wood)
+        frame += cuboid(low, low + np.array([2 * fx, 0.024, 0.08]), wood)
         low = np.array([cx + side * fx - 0.012, cy - fy, under - 0.08])
-        frame += cuboid(low, low + (0.024, 2 * fy, 0.08), wood)
+        frame += cuboid(low, low + np.array([0.024, 2 * fy, 0.08]), wood)
     return [*made, merged(frame)]

@@ -37,12 +37,12 @@ class Run:
 RUNS = (
     Run("FUSE", "ours", "fuse_grounding", "-", "soft shadow, AO, anti-aliased"),
     Run("FUSE, one thread", "ours", "fuse_grounding", "-", "soft shadow, AO, anti-aliased", 1),
-    Run("MuJoCo, EGL, defaults", "mujoco_gl", "mujoco", "default", "shadow 4096², 4 samples"),
-    Run("MuJoCo, EGL, tuned", "mujoco_gl", "mujoco", "tuned", "shadow 2048²"),
+    Run("MuJoCo, EGL, defaults", "mujoco_gl", "mujoco", "default", "shadow 4096x4096, 4 samples"),
+    Run("MuJoCo, EGL, tuned", "mujoco_gl", "mujoco", "tuned", "shadow 2048x2048"),
     Run("MuJoCo, EGL, tuned", "mujoco_gl", "mujoco", "tuned_plain", "no shadow"),
     Run("PyBullet, TinyRenderer", "bullet", "pybullet", "-", "no shadow"),
     Run("pyrender, EGL", "pyrender_gl", "pyrender", "-", "no shadow, 4 samples"),
-    Run("own shaders, moderngl, EGL", "shaders", "moderngl", "shadow", "hard shadow 2048²"),
+    Run("own shaders, moderngl, EGL", "shaders", "moderngl", "shadow", "hard shadow 2048x2048"),
     Run("own shaders, moderngl, EGL", "shaders", "moderngl", "plain", "no shadow"),
 )
 

@@ -44,8 +44,8 @@ EVEN = 0.7
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera: `intrinsics` (fx, fy, cx, cy) pixels, `rotation` (3, 3) and `translation` (3,) take the
-    world into the camera, x right, y down, z forward."""
+    """A pinhole camera: `intrinsics` (fx, fy, cx, cy) pixels, `rotation` (3, 3) and `translation` (3,) take
+    the world into the camera, x right, y down, z forward."""
 
     width: int
     height: int
@@ -125,11 +125,13 @@ def episode(places: list[tuple[str, list[float], float]]) -> str:
     )
 
 
-def make(folder: Path, width: int, height: int, views: int, splits: int = 1) -> None:
-    """Writes models, `scene.json`, and what our own world is made of: `stage/`, `scenes.json`, `episode.json`."""
+def make(
+    folder: Path, width: int, height: int, views: int, splits: int = 1, texels: int | None = None
+) -> None:
+    """Writes models, `scene.json`, and what our own world is made of: `stage/`, `scenes.json` and
+    `episode.json`. `texels` makes all pictures of the room smaller."""
     from fuse_grounding._core import Stage, World
     from fuse_grounding.environment.episodes import DATA
-
     from renderers import room
 
     stage = folder / "stage"
@@ -142,6 +144,11 @@ def make(folder: Path, width: int, height: int, views: int, splits: int = 1) -> 
     scenes["scenes"] = [s for s in scenes["scenes"] if s["name"] == NAME]
     shape = scenes["scenes"][0]
     shape["room"]["decor_density"] = 0.0
+    if texels is not None:
+        for place in (shape["room"], shape["table"]):
+            for surface in place.values():
+                if isinstance(surface, dict):
+                    surface["texels"] = texels
     (folder / "scenes.json").write_text(json.dumps(scenes))
     for i, name in enumerate(OBJECTS):
         parts = read(DATA / "objects" / f"{name}.glb")

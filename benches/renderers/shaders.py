@@ -1,5 +1,5 @@
-"""What one would write oneself: OpenGL shaders through moderngl, on EGL. One pass gives colour, depth and ids;
-one lamp with a hard shadow from a map of 2048²; textures with mip levels, no anti-aliasing."""
+"""What one would write oneself: OpenGL shaders through moderngl, on EGL. One pass gives colour, depth and
+ids; one lamp with a hard shadow from a map of 2048²; textures with mip levels, no anti-aliasing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ void main() {
   float direct = max(dot(facing, normalize(to)), 0.0) * 3.2 / dot(to, to);
   if (shadows) {
     vec3 at = lit.xyz / lit.w * 0.5 + 0.5;
-    direct *= texture(shadow, vec3(at.xy, at.z - 0.0006));
+    // What lies outside the map is lit.
+    bool seen = lit.w > 0.0 && all(lessThan(abs(at.xy - 0.5), vec2(0.5)));
+    if (seen) direct *= texture(shadow, vec3(at.xy, at.z - 0.0006));
   }
   vec3 linear = pow(texture(base, t).rgb, vec3(2.2)) * color * (sky + direct);
   rgb = vec4(pow(linear, vec3(1.0 / 2.2)), 1.0);
