@@ -53,6 +53,8 @@ test-wheel: install
 
 test: lint test-rust test-python test-wheel
 
+# Other renderers are measured where they are installed: RENDERERS_OPTIONS=--install, or see
+# benches/renderers.py.
 bench: install
 	cargo bench
 	cargo bench -p fuse-splat --features gpu --bench gpu
@@ -62,6 +64,7 @@ bench: install
 	$(BIN)/python benches/map_quality.py
 	$(BIN)/python benches/scaling.py
 	$(BIN)/python benches/segmenter.py
+	$(BIN)/python benches/renderers.py $(RENDERERS_OPTIONS)
 
 # Against OpenSplat, torch-splatting and Brush: see benches/peers.py for what their builds need.
 bench-peers: install

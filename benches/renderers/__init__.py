@@ -1,0 +1,1 @@
+"""What `benches/renderers.py` runs: the scene, the table and one module for each renderer."""
