@@ -44,8 +44,8 @@ def _fps(row: Mapping[str, Any], mode: str) -> str:
 
 
 def render(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Frames per second, mean of the rounds. Each row has `name` and `light`, and either `failed`, a sentence,
-    or `fps` by mode, `setup` seconds and `agreement`."""
+    """Frames per second, mean of the rounds. Each row has `name` and `light`, and either `failed`, a
+    sentence, or `fps` by mode, `setup` seconds and `agreement`."""
     head = ["renderer", "light", "colour", "colour + depth + ids", "depth + ids", "set-up, s", "ids as ours"]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for row in rows:

@@ -108,7 +108,8 @@ def test_the_room_in_files_is_the_room_that_we_draw(tmp_path: Path) -> None:
     places = np.stack([m for _, m, _ in drawn.instances]).astype(np.float32)
     ids = [id for _, _, id in drawn.instances]
     for view in drawn.views:
-        camera = Camera(view.width, view.height, *view.intrinsics, view.rotation, view.translation)
+        fx, fy, cx, cy = view.intrinsics
+        camera = Camera(view.width, view.height, fx, fy, cx, cy, view.rotation, view.translation)
         _, depth, seen = render_models(models, places, camera, ids=ids, floor=None, shadows=False)
         _, expected, shown = world.render_camera(camera)
         assert (seen == shown).mean() > 0.999
