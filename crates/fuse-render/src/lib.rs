@@ -9,6 +9,7 @@ mod light;
 mod model;
 mod obj;
 mod scene;
+mod sensor;
 
 use std::path::Path;
 
@@ -19,6 +20,7 @@ pub use light::{Light, SoftBox};
 pub use model::{Material, Mesh, Model, ModelError, Texture};
 pub use obj::load_obj;
 pub use scene::{Amodal, Frame, Instance, RenderOptions, Scene, SceneError};
+pub use sensor::{Sensor, SensorError};
 
 /// Reads a model file by its extension: `.glb`, `.gltf` or `.obj`.
 ///
