@@ -213,8 +213,7 @@ impl World {
         let stage = &stage.inner;
         let sensor: Sensor = from_json("sensor", sensor)?;
         let choice = enter(py, || take(device))?;
-        let load =
-            || world::World::load_on(&Episode::from_json(episode_json)?, stage, &choice)?.with_sensor(sensor);
+        let load = || world::World::load_on(&Episode::from_json(episode_json)?, stage, &choice)?.with_sensor(sensor);
         Ok(Self { inner: enter(py, load)? })
     }
 
@@ -230,12 +229,7 @@ impl World {
 
     /// (480, 640, 3) float32: unit normals in the camera's frame, facing the camera, of the triangles at the pixel
     /// centres; zeros where nothing was hit. Exact, whatever the sensor.
-    fn normals<'py>(
-        &self,
-        py: Python<'py>,
-        node: u32,
-        pitch_index: u32,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    fn normals<'py>(&self, py: Python<'py>, node: u32, pitch_index: u32) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let camera = self.inner.ring().camera(viewpoint(node, pitch_index)?);
         let normals = enter(py, || self.inner.normals(&camera))?;
         let (w, h) = (normals.width(), normals.height());

@@ -1,5 +1,6 @@
 //! Observations of a tabletop scene: colour, exact metric depth and instance ids. On the CPU,
-//! bit-identical for any number of threads, and with the feature `gpu` on a GPU.
+//! bit-identical for any number of threads, and with the feature `gpu` on a GPU. A [`Sensor`] makes of
+//! them what a real camera would.
 
 mod cpu;
 mod glb;

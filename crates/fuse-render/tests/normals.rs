@@ -9,8 +9,7 @@ use glam::Vec3;
 use nalgebra::{Point3, Vector3};
 
 fn renderer(model: Model, at: Vec3) -> Renderer {
-    let scene =
-        Scene { instances: vec![place(model, at, 0.0, 5)], light: Light::default(), background: Vec3::ZERO };
+    let scene = Scene { instances: vec![place(model, at, 0.0, 5)], light: Light::default(), background: Vec3::ZERO };
     let plain = RenderOptions { shadows: false, ambient_occlusion: false, ..RenderOptions::default() };
     Renderer::new(scene, &plain).unwrap()
 }

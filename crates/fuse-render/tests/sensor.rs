@@ -228,7 +228,8 @@ fn blur_keeps_the_light_and_spreads_a_point_as_documented() {
     let (sum, xx, yy) = moments(Sensor { motion_px: 12.0, motion_deg: 90.0, ..Sensor::default() });
     assert!((sum - 1.0).abs() < 0.02 && xx == 0.0 && (yy - 12.0).abs() < 0.5, "a streak of 12 down: {xx}, {yy}");
     let plain = flat(77, 1.0);
-    let blurred = exposed(&Sensor { defocus_px: 5.0, motion_px: 9.0, motion_deg: 20.0, ..Sensor::default() }, &plain, 0);
+    let blurred =
+        exposed(&Sensor { defocus_px: 5.0, motion_px: 9.0, motion_deg: 20.0, ..Sensor::default() }, &plain, 0);
     assert_eq!(blurred.rgb, plain.rgb, "an even picture stays, to its edges");
 }
 

@@ -175,11 +175,12 @@ def validate(
 @app.command()
 def scenes(
     sheets: Annotated[
-        Path | None, typer.Option(help="Folder for a picture of each scene from six viewpoints, and of the sensor.")
+        Path | None,
+        typer.Option(help="Folder for pictures of each scene and of the sensor."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
 ) -> None:
-    """List the scene configurations; with --sheets, draw each with an episode on its table, and the sensor."""
+    """List the scene configurations; with --sheets, draw each from six viewpoints, and the sensor."""
     rows = stage().scenes()
     drawn = {}
     if sheets is not None:

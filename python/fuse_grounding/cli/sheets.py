@@ -49,7 +49,7 @@ def sensor_sheet() -> np.ndarray:
     for label, settings in SENSORS:
         seen = TabletopEnvironment(episode, sensor=settings).render_at(*VIEWS[0])
         assert seen.depth is not None
-        tiles.append((_grey(seen.depth[_DETAIL]) if label.startswith("depth") else seen.rgb[_DETAIL]))
+        tiles.append(_grey(seen.depth[_DETAIL]) if label.startswith("depth") else seen.rgb[_DETAIL])
     return _grid(tiles, [label for label, _ in SENSORS])
 
 

@@ -147,10 +147,9 @@ class TabletopEnvironment:
         return seen.instance
 
     def normals(self, node: int, pitch_index: int) -> np.ndarray:
-        """(480, 640, 3) float32: unit normals of the surfaces at a viewpoint's pixel centres, of the triangles,
-        not smoothed.
+        """(480, 640, 3) float32: unit normals at a viewpoint's pixel centres, zeros where nothing was hit.
 
-        In the camera's frame (x right, y down, z forward), facing the camera; zeros where nothing was hit.
+        In the camera's frame (x right, y down, z forward), facing the camera; of the triangles, not smoothed.
         """
         return self._world.normals(whole("node", node), whole("pitch_index", pitch_index))
 
