@@ -49,20 +49,19 @@ impl Kernel for Row<'_> {
     fn run<V: F32x8>(self) {
         let (s, w) = (self.sensor, self.out.len());
         let row = &self.exact[self.y * w..][..w];
-        for first in (0..w).step_by(LANES) {
-            let words = self.key.words(Stream::Depth, (self.y * w + first) as u32);
+        for (i, (out, exact)) in self.out.chunks_mut(LANES).zip(row.chunks(LANES)).enumerate() {
+            let words = self.key.words(Stream::Depth, (self.y * w + i * LANES) as u32);
             let [noise, _] = normals(&words[0], &words[1]);
-            for k in 0..LANES.min(w - first) {
-                let z = row[first + k];
-                if z == 0.0 {
-                    continue;
-                }
-                let lost = s.depth_edge_dropout > 0.0
-                    && uniform(words[2][k]) < s.depth_edge_dropout
-                    && beside_jump(self.exact, w, first + k, self.y);
-                if !lost {
-                    let near = z + (s.depth_noise_m + s.depth_noise_per_m * z * z) * noise[k];
-                    self.out[first + k] = told(near, s.depth_step_per_m);
+            for ((out, z), n) in out.iter_mut().zip(exact).zip(noise) {
+                let measured = z + (s.depth_noise_m + s.depth_noise_per_m * z * z) * n;
+                *out = if *z > 0.0 { told(measured, s.depth_step_per_m) } else { 0.0 };
+            }
+            if s.depth_edge_dropout > 0.0 {
+                for (k, out) in out.iter_mut().enumerate() {
+                    let chosen = uniform(words[2][k]) < s.depth_edge_dropout;
+                    if chosen && beside_jump(self.exact, w, i * LANES + k, self.y) {
+                        *out = 0.0;
+                    }
                 }
             }
         }
@@ -72,10 +71,8 @@ impl Kernel for Row<'_> {
 /// A measured depth in the steps that the camera tells; 0 for what it cannot tell.
 #[inline(always)]
 fn told(depth: f32, step: f32) -> f32 {
-    if depth <= 0.0 {
-        return 0.0;
-    }
-    if step == 0.0 {
+    let depth = depth.max(0.0);
+    if step == 0.0 || depth == 0.0 {
         return depth;
     }
     // Rounded by conversion: floor() is a library call. Too near for the number is as near as it goes.
