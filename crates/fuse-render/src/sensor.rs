@@ -33,7 +33,7 @@ const MAX_MOTION_PX: f32 = 64.0;
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sensor {
-    /// Chooses the noise, together with what names the view.
+    /// Chooses the noise, for who makes the number of a view from it.
     pub seed: u64,
     /// Exposure, stops: linear light times `2^stops`; -8 to 8.
     pub exposure_stops: f32,
@@ -94,8 +94,8 @@ impl Sensor {
         }
     }
 
-    /// What it makes of an exact frame; ids stay. `view` names the view: the same number gives the same noise.
-    /// Settings are those that [`Sensor::check`] lets through.
+    /// What it makes of an exact frame; ids stay. `view` stands for seed and view: the same number gives the same
+    /// noise. Settings are those that [`Sensor::check`] lets through.
     pub fn expose(&self, frame: &mut Frame, view: u64) {
         let key = Key::new(view);
         color::expose(self, key, &mut frame.rgb);
