@@ -174,6 +174,41 @@ class RenderConfig(Section):
     """As `TabletopEnvironment`'s: what was taken is in the record. The CPU shows everybody the same. Ours."""
 
 
+_Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class SensorConfig(Section):
+    """What a real camera makes of the exact pictures of the tabletop world; docs/sensor.md has the model.
+
+    Everything is off by default: the paper's simulator has no noise. Bounds are `fuse_render::Sensor`'s.
+    """
+
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    """Chooses the noise, with episode and viewpoint: a view that is seen again is the same. Ours."""
+    exposure_stops: Annotated[float, Field(ge=-8, le=8)] = 0.0
+    """Linear light times 2^stops. Ours."""
+    exposure_jitter_stops: Annotated[float, Field(ge=0, le=4)] = 0.0
+    """Standard deviation of what each view's exposure is off by, stops. Ours."""
+    defocus_px: Annotated[float, Field(ge=0, le=16)] = 0.0
+    """Diameter of the disc that a point becomes, pixels (geometric optics). Ours."""
+    motion_px: Annotated[float, Field(ge=0, le=64)] = 0.0
+    """Length of the streak that a point becomes, pixels. Ours."""
+    motion_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    """Direction of the streak: 0 along the rows, 90 along the columns. Ours."""
+    shot_noise: _Share = 0.0
+    """Standard deviation at white: 1 / sqrt(electrons at white). EMVA Standard 1288, linear camera model."""
+    read_noise: _Share = 0.0
+    """Standard deviation of what does not depend on light, share of white. EMVA Standard 1288."""
+    depth_noise_m: _Share = 0.0
+    """a of the depth's standard deviation a + b z^2, metres. Form: Khoshelham and Elberink, 2012."""
+    depth_noise_per_m: _Share = 0.0
+    """b of it, 1/m; they measured 0.0014 for the first Kinect (a = 0)."""
+    depth_edge_dropout: _Share = 0.0
+    """Chance that a pixel beside a jump of the depth is lost. Ours."""
+    depth_step_per_m: _Share = 0.0
+    """Step of inverse depth, 1/m. Khoshelham and Elberink, 2012: 0.00285 for the first Kinect."""
+
+
 class KnowledgeConfig(Section):
     """From a query to candidate labels."""
 
@@ -239,6 +274,7 @@ class Config(Section):
     registration: RegistrationConfig = RegistrationConfig()
     map: MapConfig = MapConfig()
     render: RenderConfig = RenderConfig()
+    sensor: SensorConfig = SensorConfig()
     knowledge: KnowledgeConfig = KnowledgeConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
     metric: MetricConfig = MetricConfig()

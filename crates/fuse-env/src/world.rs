@@ -1,11 +1,12 @@
 //! A laid table that can be looked at: what an episode describes, ready to render.
 
+mod view;
+
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use fuse_camera::Camera;
-use fuse_render::{Frame, Instance, Light, Model, RenderOptions, Renderer, Scene, SceneError, SoftBox};
+use fuse_render::{Instance, Light, Model, RenderOptions, Renderer, Scene, SceneError, SensorError, SoftBox};
 use glam::{Affine3A, Vec3};
 use nalgebra::Point3;
 
@@ -13,9 +14,10 @@ use crate::catalogue::{Catalogue, CatalogueError};
 use crate::configuration::{self, ConfigurationError, Lighting, SceneConfiguration};
 use crate::episode::{Episode, EpisodeError, EpisodeObject};
 use crate::placement::solid::Solid;
-use crate::ring::{Ring, Viewpoint};
+use crate::ring::Ring;
 use crate::room;
 use crate::targets::{self, Subject, TargetStatistics};
+pub use view::World;
 
 /// Linear radiance behind everything (through the missing ceiling).
 const BACKGROUND: Vec3 = Vec3::new(0.62, 0.63, 0.65);
@@ -40,10 +42,25 @@ pub enum WorldError {
         /// What the renderer said.
         source: SceneError,
     },
+    /// The sensor.
+    #[error(transparent)]
+    Sensor(#[from] SensorError),
+    /// An instance that is not there.
+    #[error("no instance {id} on the table of this episode; there are {}", listed(known))]
+    Instance {
+        /// Asked for.
+        id: u32,
+        /// What there is.
+        known: Vec<u32>,
+    },
     /// The GPU that renders.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] fuse_camera::gpu::GpuError),
+}
+
+fn listed(ids: &[u32]) -> String {
+    ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
 }
 
 type Solids = Mutex<HashMap<String, Arc<Solid>>>;
@@ -157,12 +174,11 @@ impl Stage {
             instances.push(Instance { model, transform: object.transform(), id: object.instance_id });
         }
         let scene_3d = Scene { instances, light: light(&scene.light), background: BACKGROUND };
-        Ok((scene_3d, RenderOptions { shadows: painted, ambient_occlusion: painted, ..RenderOptions::default() }))
+        Ok((scene_3d, if painted { RenderOptions::default() } else { unlit() }))
     }
 
     /// Objects whose views are to be counted: each alone, without the room.
     pub fn subjects(&self, scene: &SceneConfiguration, objects: &[&EpisodeObject]) -> Result<Vec<Subject>, WorldError> {
-        let options = RenderOptions { shadows: false, ambient_occlusion: false, ..RenderOptions::default() };
         objects
             .iter()
             .map(|object| {
@@ -171,9 +187,7 @@ impl Stage {
                     transform: object.transform(),
                     id: object.instance_id,
                 };
-                let alone = Scene { instances: vec![instance], light: light(&scene.light), background: BACKGROUND };
-                let alone = Renderer::new(alone, &options)
-                    .map_err(|source| WorldError::Scene { scene: scene.name.clone(), source })?;
+                let alone = truth(vec![instance], &scene.name)?;
                 Ok(Subject { id: object.instance_id, middle: self.middle(object)?, alone })
             })
             .collect()
@@ -229,65 +243,12 @@ pub fn light(lighting: &Lighting) -> Light {
     }
 }
 
-/// An episode's scene, ready to be seen from any camera.
-pub struct World {
-    renderer: Prepared,
-    ring: Ring,
+fn unlit() -> RenderOptions {
+    RenderOptions { shadows: false, ambient_occlusion: false, ..RenderOptions::default() }
 }
 
-/// A scene on the backend that it was prepared for.
-enum Prepared {
-    Cpu(Box<Renderer>),
-    #[cfg(feature = "gpu")]
-    Gpu(Box<fuse_render::gpu::GpuRenderer>),
-}
-
-impl World {
-    /// Checks the episode and prepares its scene on the CPU.
-    pub fn load(episode: &Episode, stage: &Stage) -> Result<Self, WorldError> {
-        episode.validate(stage.catalogue(), stage.scenes())?;
-        let scene = stage.scene(&episode.scene_id)?;
-        let renderer = Prepared::Cpu(Box::new(stage.renderer(scene, &episode.objects, true)?));
-        Ok(Self { renderer, ring: Ring::of(scene) })
-    }
-
-    /// Checks the episode and prepares its scene on what `choice` names.
-    #[cfg(feature = "gpu")]
-    pub fn load_on(episode: &Episode, stage: &Stage, choice: &fuse_render::gpu::Choice) -> Result<Self, WorldError> {
-        use fuse_render::gpu::{Choice, GpuRenderer, RenderError};
-        let Choice::Gpu(device) = choice else { return Self::load(episode, stage) };
-        episode.validate(stage.catalogue(), stage.scenes())?;
-        let scene = stage.scene(&episode.scene_id)?;
-        let (scene_3d, options) = stage.laid(scene, &episode.objects, true)?;
-        let renderer = GpuRenderer::new(scene_3d, &options, device).map_err(|error| match error {
-            RenderError::Scene(source) => WorldError::Scene { scene: scene.name.clone(), source },
-            RenderError::Gpu(error) => error.into(),
-        })?;
-        Ok(Self { renderer: Prepared::Gpu(Box::new(renderer)), ring: Ring::of(scene) })
-    }
-
-    /// The scene's viewpoints.
-    pub fn ring(&self) -> &Ring {
-        &self.ring
-    }
-
-    /// The picture from a viewpoint.
-    ///
-    /// # Errors
-    /// If the world is on a GPU and that fails.
-    pub fn render(&self, viewpoint: Viewpoint) -> Result<Frame, WorldError> {
-        self.render_camera(&self.ring.camera(viewpoint))
-    }
-
-    /// The picture from any camera.
-    ///
-    /// # Errors
-    /// As [`World::render`].
-    pub fn render_camera(&self, camera: &Camera) -> Result<Frame, WorldError> {
-        match &self.renderer {
-            Prepared::Cpu(renderer) => Ok(renderer.render(camera)),
-            #[cfg(feature = "gpu")]
-            Prepared::Gpu(renderer) => Ok(renderer.render(camera)?),
-        }
-    }
+/// A renderer whose colours are of no interest.
+fn truth(instances: Vec<Instance>, scene: &str) -> Result<Renderer, WorldError> {
+    let scene_3d = Scene { instances, ..Scene::default() };
+    Renderer::new(scene_3d, &unlit()).map_err(|source| WorldError::Scene { scene: scene.to_owned(), source })
 }

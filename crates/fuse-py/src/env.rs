@@ -11,6 +11,7 @@ use fuse_env::generate::{self, Request, Validity};
 use fuse_env::ring::Viewpoint;
 use fuse_env::targets::TargetStatistics;
 use fuse_env::world;
+use fuse_render::Sensor;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
@@ -182,12 +183,13 @@ impl Stage {
 
 /// An episode's scene, ready to be seen from any camera.
 ///
-/// World(episode_json, stage, device="cpu")
+/// World(episode_json, stage, device="cpu", sensor="{}")
 ///
-/// device: what renders: `cpu`, `gpu`, or `auto` for a real GPU if there is one, else the CPU.
+/// device: what renders: `cpu`, `gpu`, or `auto` for a real GPU if there is one, else the CPU;
+/// sensor: settings of the sensor, JSON; what is not given is off.
 ///
-/// Raises InputError for an episode that is not sound, and where a GPU is asked for and there is
-/// none.
+/// Raises InputError for an episode that is not sound, a sensor's setting that is unknown or out of
+/// range, and where a GPU is asked for and there is none.
 #[pyclass(frozen, module = "fuse_grounding")]
 pub struct World {
     inner: world::World,
@@ -206,11 +208,12 @@ impl World {
 #[pymethods]
 impl World {
     #[new]
-    #[pyo3(signature = (episode_json, stage, device="cpu"))]
-    fn new(py: Python<'_>, episode_json: &str, stage: &Stage, device: &str) -> PyResult<Self> {
+    #[pyo3(signature = (episode_json, stage, device="cpu", sensor="{}"))]
+    fn new(py: Python<'_>, episode_json: &str, stage: &Stage, device: &str, sensor: &str) -> PyResult<Self> {
         let stage = &stage.inner;
+        let sensor: Sensor = from_json("sensor", sensor)?;
         let choice = enter(py, || take(device))?;
-        let load = || world::World::load_on(&Episode::from_json(episode_json)?, stage, &choice);
+        let load = || world::World::load_on(&Episode::from_json(episode_json)?, stage, &choice)?.with_sensor(sensor);
         Ok(Self { inner: enter(py, load)? })
     }
 
@@ -222,6 +225,30 @@ impl World {
     /// As `render`, from any camera.
     fn render_camera<'py>(&self, py: Python<'py>, camera: &Camera) -> PyResult<Picture<'py>> {
         self.picture(py, &camera.inner)
+    }
+
+    /// (480, 640, 3) float32: unit normals in the camera's frame, facing the camera, of the triangles at the pixel
+    /// centres; zeros where nothing was hit. Exact, whatever the sensor.
+    fn normals<'py>(&self, py: Python<'py>, node: u32, pitch_index: u32) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let camera = self.inner.ring().camera(viewpoint(node, pitch_index)?);
+        let normals = enter(py, || self.inner.normals(&camera))?;
+        let (w, h) = (normals.width(), normals.height());
+        into_3d(py, normals.into_vec().into_flattened(), w, h, 3)
+    }
+
+    /// (480, 640) bool: the pixels that an instance would cover if it stood alone. Raises InputError for one that is
+    /// not on the table.
+    fn amodal_mask<'py>(
+        &self,
+        py: Python<'py>,
+        instance: u32,
+        node: u32,
+        pitch_index: u32,
+    ) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let camera = self.inner.ring().camera(viewpoint(node, pitch_index)?);
+        let mask = enter(py, || self.inner.amodal_mask(instance, &camera))?;
+        let (w, h) = (mask.width(), mask.height());
+        into_2d(py, mask.into_vec(), w, h)
     }
 
     /// Camera of a viewpoint.

@@ -6,6 +6,7 @@
 pub(crate) mod geometry;
 mod lanes;
 mod mask;
+mod normals;
 pub(crate) mod occlusion;
 mod points;
 pub(crate) mod raster;

@@ -1,5 +1,6 @@
 //! Observations of a tabletop scene: colour, exact metric depth and instance ids. On the CPU,
-//! bit-identical for any number of threads, and with the feature `gpu` on a GPU.
+//! bit-identical for any number of threads, and with the feature `gpu` on a GPU. A [`Sensor`] makes of
+//! them what a real camera would.
 
 mod cpu;
 mod glb;
@@ -9,6 +10,7 @@ mod light;
 mod model;
 mod obj;
 mod scene;
+mod sensor;
 
 use std::path::Path;
 
@@ -19,6 +21,7 @@ pub use light::{Light, SoftBox};
 pub use model::{Material, Mesh, Model, ModelError, Texture};
 pub use obj::load_obj;
 pub use scene::{Amodal, Frame, Instance, RenderOptions, Scene, SceneError};
+pub use sensor::{Sensor, SensorError};
 
 /// Reads a model file by its extension: `.glb`, `.gltf` or `.obj`.
 ///

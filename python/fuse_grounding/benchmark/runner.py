@@ -45,7 +45,8 @@ def run_one(agent: Agent, method: str, episode: Any, index: int) -> Row:
     }
     began = time.perf_counter()
     try:
-        environment = TabletopEnvironment(episode, agent.config.render.device)
+        settings = agent.config
+        environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
         grounded = agent.run(environment, episode.query, episode_index=index)
         metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
     except InputError:

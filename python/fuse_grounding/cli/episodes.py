@@ -175,19 +175,21 @@ def validate(
 @app.command()
 def scenes(
     sheets: Annotated[
-        Path | None, typer.Option(help="Folder for a picture of each scene from six viewpoints.")
+        Path | None,
+        typer.Option(help="Folder for pictures of each scene and of the sensor."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
 ) -> None:
-    """List the scene configurations; with --sheets, draw each with an episode on its table."""
+    """List the scene configurations; with --sheets, draw each from six viewpoints, and the sensor."""
     rows = stage().scenes()
     drawn = {}
     if sheets is not None:
-        from fuse_grounding.cli.sheets import scene_sheet, write_sheet
+        from fuse_grounding.cli.sheets import scene_sheet, sensor_sheet, write_sheet
 
         with interruptible():
             for name, _, _, _ in rows:
                 drawn[name] = str(write_sheet(sheets, name, scene_sheet(name)))
+            drawn["sensor"] = str(write_sheet(sheets, "sensor", sensor_sheet()))
     if as_json:
         keys = ("name", "split", "weak_texture", "description")
         print_json([{**dict(zip(keys, row, strict=True)), "sheet": drawn.get(row[0])} for row in rows])

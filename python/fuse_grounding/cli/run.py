@@ -12,7 +12,7 @@ from fuse_grounding.agent import Agent
 from fuse_grounding.benchmark.metrics import evaluate
 from fuse_grounding.cli.capture import PhotoNotes, open_capture, photographed
 from fuse_grounding.cli.console import Narrator, interruptible, print_json
-from fuse_grounding.config import Config
+from fuse_grounding.config import Config, SensorConfig
 from fuse_grounding.environment import ReplayEnvironment, TabletopEnvironment, make_episode
 from fuse_grounding.errors import InputError
 from fuse_grounding.record import EpisodeRecord
@@ -84,6 +84,8 @@ def command(
     if capture is not None:
         if scene is not None or seed != 0:
             raise InputError(f"--capture {capture} is the scene: --scene and --seed are for made ones")
+        if settings.sensor != SensorConfig():
+            raise InputError(f"--capture {capture}: photos come from a real sensor; leave out `sensor`")
         replay = open_capture(capture, settings, start, scale, hfov)
         agent = Agent(photographed(settings, replay))
         if agent.start(query).policy.start == "canonical":
@@ -96,7 +98,7 @@ def command(
     agent = Agent(settings)
     with interruptible():
         episode = make_episode(verb, scene, seed, query=query)
-    environment = TabletopEnvironment(episode, agent.config.render.device)
+    environment = TabletopEnvironment(episode, agent.config.render.device, sensor=agent.config.sensor)
     folder = prepare(out, force)
     files = RunFolder(folder, episode.episode_id, episode.scene_id, episode.seed)
     narrator.say(f"episode     {episode.episode_id}: scene {episode.scene_id}, seed {episode.seed}")

@@ -10,9 +10,10 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from fuse_grounding.arguments import device_wish, whole
+from fuse_grounding.config import SensorConfig
 from fuse_grounding.environment.episodes import Episode, check_threads, load_episodes
 from fuse_grounding.environment.protocol import Observation
-from fuse_grounding.environment.tabletop import TabletopEnvironment
+from fuse_grounding.environment.tabletop import TabletopEnvironment, sensor_settings
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
 
@@ -52,8 +53,8 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
 
     `episodes`: a shipped set, a .json.gz file, or episodes; `reset` takes one at random, or the one of
     `options={"episode_id": ...}`. An action that `action_mask` forbids leaves the camera where it is.
-    `device` is `TabletopEnvironment`'s. Raises InputError for episodes that cannot be read and for unknown
-    options.
+    `device` and `sensor` are `TabletopEnvironment`'s. Raises InputError for episodes that cannot be read and
+    for unknown options.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012  # Gymnasium's
@@ -63,11 +64,13 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
         episodes: str | Path | Sequence[Episode] = "dev",
         render_mode: str | None = None,
         device: str = "cpu",
+        sensor: SensorConfig | Mapping[str, Any] | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError(f'render_mode must be "rgb_array" or None, found {render_mode!r}')
         self.render_mode = render_mode
         self._device = device_wish(device)
+        self._sensor = sensor_settings(sensor)
         self.observation_space = observation_space()
         self.action_space = spaces.Discrete(ACTIONS)
         # Checked against the objects when one is played: a vector environment makes one only to look at its
@@ -136,7 +139,7 @@ class TabletopGym(gymnasium.Env):  # type: ignore[name-defined]
 
     def _open(self, episode: Episode) -> TabletopEnvironment:
         try:
-            return TabletopEnvironment(episode, self._device)
+            return TabletopEnvironment(episode, self._device, sensor=self._sensor)
         except InputError as error:
             raise InputError(f"{self._source}: {error}") from None
 

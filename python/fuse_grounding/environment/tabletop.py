@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from fuse_grounding import _core
 from fuse_grounding._core import Camera, World, action_mask, apply_action, seed_viewpoints
 from fuse_grounding.arguments import device_wish, whole
+from fuse_grounding.config import Config, SensorConfig
 from fuse_grounding.environment.episodes import Episode, stage
 from fuse_grounding.environment.protocol import Observation
 
@@ -51,19 +52,34 @@ def render_device(device: str = "auto") -> str:
     return _core.render_device(device_wish(device))
 
 
+def sensor_settings(sensor: SensorConfig | Mapping[str, Any] | None) -> SensorConfig:
+    """Settings of `Config.sensor`, from a mapping too; None is a sensor that is off. Raises InputError."""
+    if isinstance(sensor, SensorConfig):
+        return sensor
+    return Config.from_dict({"sensor": {} if sensor is None else sensor}, "sensor").sensor
+
+
 class TabletopEnvironment:
     """An episode to act in. `episode` is what it plays; observations carry true instance ids.
 
     `device` renders: `cpu`, the same bits for everybody; `gpu`, whose pixels differ here and there by a
-    rounding; `auto`, a real GPU if there is one, else the CPU. Raises InputError for `gpu` where there is
-    none.
+    rounding; `auto`, a real GPU if there is one, else the CPU. `sensor` (docs/sensor.md) is what colours and
+    depth of all observations go through; ids, normals and masks stay exact. Raises InputError for `gpu` where
+    there is none, and for settings of the sensor that are unknown or out of range.
     """
 
-    def __init__(self, episode: Episode, device: str = "cpu"):
+    def __init__(
+        self,
+        episode: Episode,
+        device: str = "cpu",
+        *,
+        sensor: SensorConfig | Mapping[str, Any] | None = None,
+    ):
         self.episode = episode
+        self.sensor = sensor_settings(sensor)
         self.device = render_device(device)
         """What it renders on, by name."""
-        self._world = World(episode.text, stage(), device)
+        self._world = World(episode.text, stage(), device, self.sensor.model_dump_json())
         self._viewpoint = episode.start
         self._statistics: list[dict[str, Any]] | None = episode.statistics
 
@@ -129,6 +145,21 @@ class TabletopEnvironment:
         )
         assert seen.instance is not None
         return seen.instance
+
+    def normals(self, node: int, pitch_index: int) -> np.ndarray:
+        """(480, 640, 3) float32: unit normals at a viewpoint's pixel centres, zeros where nothing was hit.
+
+        In the camera's frame (x right, y down, z forward), facing the camera; of the triangles, not smoothed.
+        """
+        return self._world.normals(whole("node", node), whole("pitch_index", pitch_index))
+
+    def amodal_mask(self, instance: int, node: int, pitch_index: int) -> np.ndarray:
+        """(480, 640) bool: the pixels that an instance would cover at a viewpoint if it stood alone.
+
+        Raises InputError for an id that no object on the table has.
+        """
+        place = whole("node", node), whole("pitch_index", pitch_index)
+        return self._world.amodal_mask(whole("instance", instance), *place)
 
     def true_targets(self) -> Sequence[Target]:
         """The valid objects, the sampled target first.
