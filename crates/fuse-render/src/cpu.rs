@@ -3,6 +3,7 @@
 //! transform → bin → for each tile: raster → shade. What does not depend on the camera (mip
 //! chains, shadow maps, ambient occlusion) is made once in [`Renderer::new`].
 
+mod binned;
 pub(crate) mod geometry;
 mod lanes;
 mod mask;
@@ -10,22 +11,22 @@ mod normals;
 pub(crate) mod occlusion;
 mod points;
 pub(crate) mod raster;
-mod resolve;
+pub(crate) mod resolve;
 pub(crate) mod shade;
 pub(crate) mod shadow;
 pub(crate) mod texture;
 mod transform;
-
-use std::ops::Range;
 
 use fuse_camera::{Buffer, Camera, DepthBuffer, IdBuffer};
 use glam::Vec3A;
 use rayon::prelude::*;
 
 use crate::{Amodal, Frame, RenderOptions, Scene, SceneError};
+use binned::{Binned, Pool};
 use geometry::Geometry;
 use mask::Mask;
 use occlusion::Occlusion;
+use points::Triangles;
 use raster::{LANES, TILE_HEIGHT, TILE_WIDTH, Tile};
 use resolve::Colors;
 use shade::Shading;
@@ -43,58 +44,7 @@ pub struct Renderer {
     pub(crate) near: f32,
     /// Nonzero instance ids, ascending.
     pub(crate) ids: Vec<u32>,
-}
-
-/// Setups of one view and the tiles they touch.
-struct Binned {
-    setups: Vec<Setup>,
-    /// Setup indices by tile, and where each tile's begin.
-    order: Vec<u32>,
-    starts: Vec<usize>,
-    tiles_x: usize,
-}
-
-impl Binned {
-    fn new(view: &View, setups: Vec<Setup>) -> Self {
-        let tiles_x = (view.width as usize).div_ceil(TILE_WIDTH);
-        let tiles_y = (view.height as usize).div_ceil(TILE_HEIGHT);
-        let mut starts = vec![0usize; tiles_x * tiles_y + 1];
-        for s in &setups {
-            let (columns, rows) = touched(s);
-            for y in rows {
-                for start in &mut starts[y * tiles_x + 1..][columns.clone()] {
-                    *start += 1;
-                }
-            }
-        }
-        for t in 0..tiles_x * tiles_y {
-            starts[t + 1] += starts[t];
-        }
-        let mut next = starts.clone();
-        let mut order = vec![0u32; starts[tiles_x * tiles_y]];
-        for (i, s) in setups.iter().enumerate() {
-            let (columns, rows) = touched(s);
-            for y in rows {
-                for next in &mut next[y * tiles_x..][columns.clone()] {
-                    order[*next] = i as u32;
-                    *next += 1;
-                }
-            }
-        }
-        Self { setups, order, starts, tiles_x }
-    }
-
-    fn tile(&self, x: usize, y: usize) -> &[u32] {
-        let t = y * self.tiles_x + x;
-        &self.order[self.starts[t]..self.starts[t + 1]]
-    }
-}
-
-/// Columns and rows of the tiles that a setup may touch.
-#[inline]
-fn touched(s: &Setup) -> (Range<usize>, Range<usize>) {
-    let columns = s.x0 as usize / TILE_WIDTH..s.x1 as usize / TILE_WIDTH + 1;
-    (columns, s.y0 as usize / TILE_HEIGHT..s.y1 as usize / TILE_HEIGHT + 1)
+    pool: Pool,
 }
 
 impl Renderer {
@@ -113,7 +63,7 @@ impl Renderer {
         let occlusion = if options.ambient_occlusion { Occlusion::new(&geometry) } else { None };
         let shading = Shading::new(&scene.light, shadow, occlusion);
         let background = shading.display_one(scene.background.into());
-        Ok(Self { geometry, shading, background, near: options.near, ids })
+        Ok(Self { geometry, shading, background, near: options.near, ids, pool: Pool::default() })
     }
 
     /// Nonzero instance ids, ascending.
@@ -124,8 +74,10 @@ impl Renderer {
     /// Colour, depth and ids.
     pub fn render(&self, camera: &Camera) -> Frame {
         let view = View::new(camera, self.near);
-        let vertices = view.vertices(&self.geometry);
-        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Area));
+        self.pool.with(&view, &self.geometry, Sampling::Area, |binned| self.colors(camera, &view, binned))
+    }
+
+    fn colors(&self, camera: &Camera, view: &View, binned: &Binned) -> Frame {
         let center = camera.pose.center();
         let eye = Vec3A::new(center.x as f32, center.y as f32, center.z as f32);
         let (w, h) = (view.width, view.height);
@@ -135,6 +87,7 @@ impl Renderer {
             instance: Buffer::filled(w, h, 0),
         };
         let band = TILE_HEIGHT * w as usize;
+        let scene = Triangles { geometry: &self.geometry, binned };
         frame
             .rgb
             .as_mut_slice()
@@ -143,19 +96,20 @@ impl Renderer {
             .zip(frame.instance.as_mut_slice().par_chunks_mut(band))
             .enumerate()
             .for_each_init(
-                || (Tile::new(&view, LANES), Colors::default()),
+                || (Tile::new(view, LANES), Colors::default()),
                 |(tile, colors), (ty, ((rgb, depth), ids))| {
                     for tx in 0..binned.tiles_x {
                         tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                        tile.draw_area(&binned.setups, binned.tile(tx, ty));
+                        tile.draw_area(binned);
                         let columns = tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w as usize);
                         let rows = ty * TILE_HEIGHT..ty * TILE_HEIGHT + rgb.len() / w as usize;
-                        colors.resolve(tile, columns.clone(), rows.clone());
-                        colors.shade(&self.geometry, &self.shading, &binned.setups, eye);
+                        colors.resolve(&scene, tile, columns.clone(), rows.clone());
+                        colors.shade(&scene, &self.shading, eye);
                         for (row, y) in rows.enumerate() {
                             for x in columns.clone() {
                                 let at = row * w as usize + x;
-                                (depth[at], ids[at]) = self.center(&binned, tile.samples(x, y)[0], x, y);
+                                let key = tile.whole_block(x, y).unwrap_or_else(|| tile.samples(x, y)[0]);
+                                (depth[at], ids[at]) = self.center(binned, key, x, y);
                                 rgb[at] = self.shading.encode.encode(colors.pixel(self.background));
                             }
                         }
@@ -168,9 +122,7 @@ impl Renderer {
     /// Depth and ids without shading; equal to those of [`Renderer::render`].
     pub fn depth_ids(&self, camera: &Camera) -> (DepthBuffer, IdBuffer) {
         let view = View::new(camera, self.near);
-        let vertices = view.vertices(&self.geometry);
-        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Center));
-        self.centers(&view, &binned)
+        self.pool.with(&view, &self.geometry, Sampling::Center, |binned| self.centers(&view, binned))
     }
 
     fn centers(&self, view: &View, binned: &Binned) -> (DepthBuffer, IdBuffer) {
@@ -188,7 +140,7 @@ impl Renderer {
                 |tile, (ty, (depth, ids))| {
                     for tx in 0..binned.tiles_x {
                         tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                        tile.draw_centers(&binned.setups, binned.tile(tx, ty));
+                        tile.draw_centers(binned);
                         for row in 0..depth.len() / w {
                             let y = ty * TILE_HEIGHT + row;
                             for x in tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w) {
@@ -211,9 +163,11 @@ impl Renderer {
     /// Visible and unoccluded pixels of every nonzero id, ascending by id.
     pub fn amodal_all(&self, camera: &Camera) -> Vec<Amodal> {
         let view = View::new(camera, self.near);
-        let vertices = view.vertices(&self.geometry);
-        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Center));
-        let (_, visible) = self.centers(&view, &binned);
+        self.pool.with(&view, &self.geometry, Sampling::Center, |binned| self.counts(&view, binned))
+    }
+
+    fn counts(&self, view: &View, binned: &Binned) -> Vec<Amodal> {
+        let (_, visible) = self.centers(view, binned);
         let mut counts: Vec<Amodal> = self.ids.iter().map(|&id| Amodal { id, ..Amodal::default() }).collect();
         for id in visible.as_slice() {
             if let Ok(k) = self.ids.binary_search(id) {
@@ -221,23 +175,22 @@ impl Renderer {
             }
         }
         counts.par_iter_mut().for_each(|count| {
-            let mut mask = Mask::new(&view);
-            mask.draw(binned.setups.iter().filter(|s| self.id(s) == count.id));
+            let mut mask = Mask::new(view);
+            mask.draw(binned.setups().filter(|s| self.id(s) == count.id));
             count.unoccluded_px = mask.count();
         });
         counts
     }
 
     fn id(&self, setup: &Setup) -> u32 {
-        let part = self.geometry.triangle_part[setup.triangle as usize];
-        self.geometry.parts[part as usize].id
+        self.geometry.parts[setup.part as usize].id
     }
 
     /// Depth and id of a pixel from the key of its centre sample.
     #[inline]
     fn center(&self, binned: &Binned, key: u32, x: usize, y: usize) -> (f32, u32) {
         let Some(index) = key.checked_sub(1) else { return (0.0, 0) };
-        let setup = &binned.setups[index as usize];
+        let setup = binned.setup(index);
         (setup.depth(x as f64 + 0.5, y as f64 + 0.5), self.id(setup))
     }
 }

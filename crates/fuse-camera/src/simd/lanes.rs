@@ -91,6 +91,8 @@ pub trait F32x8: Floats {
     fn select(self, mask: Self, other: Self) -> Self;
     /// Rounded towards zero, for lanes within ±2³¹.
     fn truncate(self) -> [i32; 8];
+    /// Rows to columns: lane `j` of the `i`-th is lane `i` of the `j`-th.
+    fn transpose(rows: [Self; 8]) -> [Self; 8];
     /// `(e, m)` with `self = m · 2^e`, `m ∈ [√½, √2)`, for positive normal lanes.
     fn split_exponent(self) -> (Self, Self);
 
@@ -259,6 +261,23 @@ mod tests {
                     assert!((f64::from(sums[i]) - total * i as f64).abs() <= 1e-5 * (1.0 + total.abs() * i as f64));
                 }
             }
+        }
+    }
+
+    struct Transpose([[f32; 8]; 8]);
+    impl Kernel for Transpose {
+        type Output = [[f32; 8]; 8];
+        #[inline(always)]
+        fn run<V: F32x8>(self) -> Self::Output {
+            V::transpose(self.0.map(|row| V::load(&row))).map(V::to_array)
+        }
+    }
+
+    #[test]
+    fn rows_become_columns_at_every_level() {
+        let rows = from_fn(|j| from_fn(|i| (8 * j + i) as f32));
+        for level in [Level::Portable, Level::Avx2Fma, best()] {
+            assert_eq!(dispatch(level, Transpose(rows)), from_fn(|i| from_fn(|j| rows[j][i])), "{}", level.name());
         }
     }
 

@@ -131,6 +131,10 @@ impl F32x8 for Portable {
         self.0.map(|v| v as i32)
     }
     #[inline(always)]
+    fn transpose(rows: [Self; 8]) -> [Self; 8] {
+        from_fn(|i| Self(from_fn(|j| rows[j].0[i])))
+    }
+    #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {
         let e: [i32; 8] = from_fn(|i| (self.0[i].to_bits() as i32).wrapping_sub(HALF_ROOT) >> 23);
         let m = from_fn(|i| f32::from_bits((self.0[i].to_bits() as i32).wrapping_sub(e[i] << 23) as u32));

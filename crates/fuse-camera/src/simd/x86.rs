@@ -192,6 +192,37 @@ impl F32x8 for Avx2 {
         out
     }
     #[inline(always)]
+    fn transpose(rows: [Self; 8]) -> [Self; 8] {
+        // Halves of 128 bits on their own: pairs of rows, fours, then the halves of eight. No closures:
+        // `map` would not be compiled for the caller's instruction set.
+        let [a, b, c, d, e, f, g, h] = rows;
+        macro_rules! both {
+            ($low:ident, $high:ident, $x:expr, $y:expr) => {
+                let $low = intrinsic!(_mm256_unpacklo_ps($x.0, $y.0));
+                let $high = intrinsic!(_mm256_unpackhi_ps($x.0, $y.0));
+            };
+        }
+        both!(ab0, ab1, a, b);
+        both!(cd0, cd1, c, d);
+        both!(ef0, ef1, e, f);
+        both!(gh0, gh1, g, h);
+        macro_rules! columns {
+            ($ab:ident, $cd:ident, $ef:ident, $gh:ident, $halves:literal) => {{
+                let top = intrinsic!(_mm256_shuffle_ps::<$halves>($ab, $cd));
+                let bottom = intrinsic!(_mm256_shuffle_ps::<$halves>($ef, $gh));
+                (
+                    Self(intrinsic!(_mm256_permute2f128_ps::<0x20>(top, bottom))),
+                    Self(intrinsic!(_mm256_permute2f128_ps::<0x31>(top, bottom))),
+                )
+            }};
+        }
+        let (c0, c4) = columns!(ab0, cd0, ef0, gh0, 0x44);
+        let (c1, c5) = columns!(ab0, cd0, ef0, gh0, 0xee);
+        let (c2, c6) = columns!(ab1, cd1, ef1, gh1, 0x44);
+        let (c3, c7) = columns!(ab1, cd1, ef1, gh1, 0xee);
+        [c0, c1, c2, c3, c4, c5, c6, c7]
+    }
+    #[inline(always)]
     fn split_exponent(self) -> (Self, Self) {
         let bits = intrinsic!(_mm256_castps_si256(self.0));
         let e = intrinsic!(_mm256_srai_epi32::<23>(_mm256_sub_epi32(bits, _mm256_set1_epi32(HALF_ROOT))));

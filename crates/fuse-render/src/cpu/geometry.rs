@@ -34,6 +34,15 @@ pub(crate) struct Vertex {
     pub uv: Vec2,
 }
 
+impl Vertex {
+    /// Position, normal, texture coordinates.
+    #[inline(always)]
+    pub fn row(&self) -> [f32; 8] {
+        let Self { position: p, normal: n, uv } = self;
+        [p.x, p.y, p.z, n.x, n.y, n.z, uv.x, uv.y]
+    }
+}
+
 /// World-space triangles; vertex arrays are parallel, triangle arrays are parallel.
 pub(crate) struct Geometry {
     pub positions: Vec<Vec3>,

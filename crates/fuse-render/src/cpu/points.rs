@@ -1,8 +1,9 @@
 //! Surface points seen through pixels, eight at a time: perspective-correct interpolation.
 
 use fuse_camera::simd::F32x8;
-use glam::{DVec3, Vec2, Vec3A};
+use glam::Vec3A;
 
+use super::binned::Binned;
 use super::geometry::Geometry;
 use super::lanes::{V3, less};
 use super::transform::Setup;
@@ -10,10 +11,16 @@ use super::transform::Setup;
 /// Points of one group.
 pub(super) const GROUP: usize = 8;
 
+/// The triangles of a view.
+pub(super) struct Triangles<'a> {
+    pub geometry: &'a Geometry,
+    pub binned: &'a Binned,
+}
+
 /// A triangle at a place of a pixel.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Fragment {
-    /// Index into the setups.
+    /// Number of the setup.
     pub setup: u32,
     /// Pixel of the image.
     pub x: u16,
@@ -24,7 +31,9 @@ pub(super) struct Fragment {
 }
 
 impl Fragment {
-    fn at(&self) -> (f64, f64) {
+    /// Image coordinates.
+    #[inline(always)]
+    pub fn at(&self) -> (f64, f64) {
         (f64::from(self.x) + 0.5 + f64::from(self.dx), f64::from(self.y) + 0.5 + f64::from(self.dy))
     }
 }
@@ -51,20 +60,18 @@ pub(super) struct Points {
 impl Points {
     /// Interpolates the triangles at the fragments, which are of one surface.
     #[inline(always)]
-    pub fn fill<V: F32x8>(&mut self, geometry: &Geometry, setups: &[Setup], fragments: &[Fragment; GROUP]) {
+    pub fn fill<V: F32x8>(&mut self, scene: &Triangles<'_>, fragments: &[Fragment; GROUP]) {
+        let Triangles { geometry, binned } = scene;
         let first = &fragments[0];
-        let part = geometry.triangle_part[setups[first.setup as usize].triangle as usize];
-        self.surface = geometry.parts[part as usize].surface as usize;
+        self.surface = geometry.parts[binned.setup(first.setup).part as usize].surface as usize;
         let mut other = 0;
         for fragment in fragments {
             other |= fragment.setup ^ first.setup;
         }
         if other == 0 {
-            self.interpolate_one::<V>(geometry, &setups[first.setup as usize], fragments);
-            return;
-        }
-        for (lane, fragment) in fragments.iter().enumerate() {
-            self.interpolate(geometry, &setups[fragment.setup as usize], fragment.at(), lane);
+            self.interpolate_one::<V>(geometry, binned.setup(first.setup), fragments);
+        } else {
+            self.interpolate::<V>(scene, fragments);
         }
     }
 
@@ -87,7 +94,7 @@ impl Points {
     fn interpolate_one<V: F32x8>(&mut self, geometry: &Geometry, setup: &Setup, fragments: &[Fragment; GROUP]) {
         let triangle = setup.triangle as usize;
         let (u, v) = fragments[0].at();
-        let at = DVec3::new(u, v, 1.0);
+        let at = setup.at(u, v);
         let (mut x, mut y) = ([0.0; GROUP], [0.0; GROUP]);
         for (i, f) in fragments.iter().enumerate() {
             x[i] = f32::from(f.x) - f32::from(fragments[0].x) + (f.dx - fragments[0].dx);
@@ -95,13 +102,12 @@ impl Points {
         }
         let (x, y) = (V::load(&x), V::load(&y));
         // The common factor keeps single precision in range.
-        let scale = 1.0 / (setup.edges[0].dot(at) + setup.edges[1].dot(at) + setup.edges[2].dot(at));
+        let scale = 1.0 / (at[0] + at[1] + at[2]);
         let (mut e, mut total) = ([V::zero(); 3], V::zero());
         let (mut ex, mut ey) = ([0.0f32; 3], [0.0f32; 3]);
         for k in 0..3 {
-            let edge = setup.edges[k];
-            (ex[k], ey[k]) = ((edge.x * scale) as f32, (edge.y * scale) as f32);
-            e[k] = V::splat((edge.dot(at) * scale) as f32) + V::splat(ex[k]) * x + V::splat(ey[k]) * y;
+            (ex[k], ey[k]) = ((setup.du[k] * scale) as f32, (setup.dv[k] * scale) as f32);
+            e[k] = V::splat((at[k] * scale) as f32) + V::splat(ex[k]) * x + V::splat(ey[k]) * y;
             total = total + e[k];
         }
         let (sx, sy) = (V::splat(ex[0] + ex[1] + ex[2]), V::splat(ey[0] + ey[1] + ey[2]));
@@ -132,42 +138,57 @@ impl Points {
         }
     }
 
+    /// A triangle for each fragment.
     #[inline(always)]
-    fn interpolate(&mut self, geometry: &Geometry, setup: &Setup, (u, v): (f64, f64), lane: usize) {
-        let triangle = setup.triangle as usize;
-        let t = geometry.triangles[triangle];
-        let at = DVec3::new(u, v, 1.0);
-        let e = [setup.edges[0].dot(at), setup.edges[1].dot(at), setup.edges[2].dot(at)];
-        let scale = 1.0 / (e[0] + e[1] + e[2]);
-        // Barycentric coordinates, and their change along x and y.
-        let (mut b, mut ex, mut ey) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
-        for k in 0..3 {
-            b[k] = (e[k] * scale) as f32;
-            ex[k] = (setup.edges[k].x * scale) as f32;
-            ey[k] = (setup.edges[k].y * scale) as f32;
+    fn interpolate<V: F32x8>(&mut self, scene: &Triangles<'_>, fragments: &[Fragment; GROUP]) {
+        let Triangles { geometry, binned } = scene;
+        // Barycentric coordinates, and the edges' change along x and y.
+        let (mut b, mut ex, mut ey) = ([[0.0f32; GROUP]; 3], [[0.0f32; GROUP]; 3], [[0.0f32; GROUP]; 3]);
+        let mut corners = [[0u32; 3]; GROUP];
+        for (lane, fragment) in fragments.iter().enumerate() {
+            let setup = binned.setup(fragment.setup);
+            let (u, v) = fragment.at();
+            let e = setup.at(u, v);
+            let scale = 1.0 / (e[0] + e[1] + e[2]);
+            for k in 0..3 {
+                b[k][lane] = (e[k] * scale) as f32;
+                ex[k][lane] = (setup.du[k] * scale) as f32;
+                ey[k][lane] = (setup.dv[k] * scale) as f32;
+            }
+            let triangle = setup.triangle as usize;
+            corners[lane] = geometry.triangles[triangle];
+            for (c, facet) in geometry.facets[triangle].to_array().into_iter().enumerate() {
+                self.facet[c][lane] = facet;
+            }
         }
+        let (b, ex, ey) = (V3::load(&b), V3::load(&ex), V3::load(&ey));
+        let (b, ex, ey): ([V; 3], [V; 3], [V; 3]) = ([b.x, b.y, b.z], [ex.x, ex.y, ex.z], [ey.x, ey.y, ey.z]);
         let (sx, sy) = (ex[0] + ex[1] + ex[2], ey[0] + ey[1] + ey[2]);
-        let (mut position, mut normal) = (Vec3A::ZERO, Vec3A::ZERO);
-        let (mut uv, mut du, mut dv) = (Vec2::ZERO, Vec2::ZERO, Vec2::ZERO);
+        let mut sum = [V::zero(); 8];
+        let (mut du, mut dv) = ([V::zero(); 2], [V::zero(); 2]);
         for k in 0..3 {
-            let vertex = &geometry.vertices[t[k] as usize];
-            position += Vec3A::from(vertex.position) * b[k];
-            normal += Vec3A::from(vertex.normal) * b[k];
-            let at = vertex.uv;
-            uv += at * b[k];
-            du += at * (ex[k] - b[k] * sx);
-            dv += at * (ey[k] - b[k] * sy);
+            let mut rows = [V::zero(); GROUP];
+            for (row, corners) in rows.iter_mut().zip(&corners) {
+                *row = V::load(&geometry.vertices[corners[k] as usize].row());
+            }
+            let columns = V::transpose(rows);
+            for (sum, column) in sum.iter_mut().zip(columns) {
+                *sum = *sum + column * b[k];
+            }
+            let (bx, by) = (ex[k] - b[k] * sx, ey[k] - b[k] * sy);
+            for c in 0..2 {
+                du[c] = du[c] + columns[6 + c] * bx;
+                dv[c] = dv[c] + columns[6 + c] * by;
+            }
         }
-        let facet = geometry.facets[triangle];
-        for k in 0..3 {
-            self.position[k][lane] = position[k];
-            self.normal[k][lane] = normal[k];
-            self.facet[k][lane] = facet[k];
+        for c in 0..3 {
+            sum[c].store(&mut self.position[c]);
+            sum[3 + c].store(&mut self.normal[c]);
         }
-        for k in 0..2 {
-            self.uv[k][lane] = uv[k];
-            self.du[k][lane] = du[k];
-            self.dv[k][lane] = dv[k];
+        for c in 0..2 {
+            sum[6 + c].store(&mut self.uv[c]);
+            du[c].store(&mut self.du[c]);
+            dv[c].store(&mut self.dv[c]);
         }
     }
 }

@@ -10,8 +10,8 @@
 #![allow(clippy::needless_range_loop)]
 
 use fuse_camera::simd::{self, F32x8, I32x8, Kernel};
-use glam::DVec3;
 
+use super::binned::Binned;
 use super::transform::{Setup, View};
 
 /// Tile size in pixels; a multiple of the block size.
@@ -41,6 +41,7 @@ const REACH: f32 = 0.44;
 type Lanes = [f32; LANES];
 
 /// Linear functions of one triangle at one block: value at the block's corner, and gradients.
+#[derive(Clone, Copy)]
 pub(super) struct Planes {
     value: [f32; 4],
     du: [f32; 4],
@@ -56,22 +57,21 @@ impl Planes {
     /// Edges in 0..3, inverse depth in 3; `None` when no sample of the block can be inside.
     #[inline(always)]
     pub fn at(setup: &Setup, x: usize, y: usize) -> Option<Self> {
-        let (x, y) = (x as f64, y as f64);
-        let rows = [setup.edges[0], setup.edges[1], setup.edges[2], setup.inverse_depth];
+        let at = setup.at(x as f64, y as f64);
         let side = BLOCK as f32 * 1.0001;
-        let mut planes = Self { value: [0.0; 4], du: [0.0; 4], dv: [0.0; 4], covers: true, low: 0.0, high: 0.0 };
-        let mut outside = false;
+        let (mut value, mut du, mut dv) = ([0.0f32; 4], [0.0f32; 4], [0.0f32; 4]);
+        let (mut high, mut low) = ([0.0f32; 4], [0.0f32; 4]);
         for i in 0..4 {
-            let r: DVec3 = rows[i];
-            planes.value[i] = (r.x * x + r.y * y + r.z) as f32;
-            planes.du[i] = r.x as f32;
-            planes.dv[i] = r.y as f32;
-            planes.high = planes.value[i] + side * (planes.du[i].max(0.0) + planes.dv[i].max(0.0));
-            planes.low = planes.value[i] + side * (planes.du[i].min(0.0) + planes.dv[i].min(0.0));
-            outside |= planes.high < 0.0;
-            planes.covers &= planes.low >= 0.0;
+            (value[i], du[i], dv[i]) = (at[i] as f32, setup.du[i] as f32, setup.dv[i] as f32);
+            high[i] = value[i] + side * (du[i].max(0.0) + dv[i].max(0.0));
+            low[i] = value[i] + side * (du[i].min(0.0) + dv[i].min(0.0));
         }
-        if outside { None } else { Some(planes) }
+        let (mut outside, mut covers) = (false, true);
+        for i in 0..4 {
+            outside |= high[i] < 0.0;
+            covers &= low[i] >= 0.0;
+        }
+        if outside { None } else { Some(Self { value, du, dv, covers, low: low[3], high: high[3] }) }
     }
 
     /// Values at the centres of the pixel row `dy` of the block, at column offset 0.
@@ -119,6 +119,19 @@ pub(super) fn inside<V: F32x8>(e: &[V; 4]) -> V {
     e[0].ge(zero).and(e[1].ge(zero)).and(e[2].ge(zero))
 }
 
+/// What a block shows, in area mode.
+#[derive(Clone, Copy)]
+enum Block {
+    Nothing,
+    /// One triangle, of this key, at all samples. They are not written one by one: most of a picture
+    /// are large triangles.
+    One(u32, Planes),
+    /// What the tile's samples say.
+    Samples,
+}
+
+const BLOCKS: usize = TILE_WIDTH / BLOCK * (TILE_HEIGHT / BLOCK);
+
 /// Which triangle is nearest at every sample of a tile.
 ///
 /// In area mode element `LANES * pixel + sample`, in centre mode element `pixel`.
@@ -132,7 +145,10 @@ pub(super) struct Tile {
     /// Largest inverse depth of each pixel, centre mode; empty for that of the near plane.
     limits: Vec<Lanes>,
     /// For each block, an inverse depth that all its samples reach.
-    floor: [f32; TILE_WIDTH / BLOCK * (TILE_HEIGHT / BLOCK)],
+    floor: [f32; BLOCKS],
+    /// Area mode; [`Block::Samples`] everywhere in centre mode.
+    blocks: [Block; BLOCKS],
+    area: bool,
 }
 
 impl Tile {
@@ -146,7 +162,9 @@ impl Tile {
             nearest: vec![[0; LANES]; groups],
             max_inverse_depth: (1.0 / view.near) as f32,
             limits: Vec::new(),
-            floor: [0.0; TILE_WIDTH / BLOCK * (TILE_HEIGHT / BLOCK)],
+            floor: [0.0; BLOCKS],
+            blocks: [Block::Samples; BLOCKS],
+            area: lanes == LANES,
         }
     }
 
@@ -166,15 +184,79 @@ impl Tile {
     /// Empties the tile and moves its first pixel to `(x, y)`.
     pub fn reset(&mut self, x: usize, y: usize) {
         (self.x, self.y) = (x, y);
-        self.inverse_depth.fill([0.0; LANES]);
-        self.nearest.fill([0; LANES]);
         self.floor.fill(0.0);
+        if self.area {
+            self.blocks.fill(Block::Nothing);
+        } else {
+            self.inverse_depth.fill([0.0; LANES]);
+            self.nearest.fill([0; LANES]);
+        }
     }
 
-    /// The samples of the pixel `(x, y)` of the image, area mode.
+    /// Number of the block of the pixel `(x, y)` of the image.
+    #[inline(always)]
+    fn block(&self, x: usize, y: usize) -> usize {
+        (y - self.y) / BLOCK * (TILE_WIDTH / BLOCK) + (x - self.x) / BLOCK
+    }
+
+    /// The key at all samples of the block of the pixel `(x, y)` of the image, 0 where there is nothing,
+    /// if they are known to be the same, area mode.
+    #[inline(always)]
+    pub fn whole_block(&self, x: usize, y: usize) -> Option<u32> {
+        match &self.blocks[self.block(x, y)] {
+            Block::Nothing => Some(0),
+            Block::One(key, _) => Some(*key),
+            Block::Samples => None,
+        }
+    }
+
+    /// The samples of the pixel `(x, y)` of the image in other blocks, area mode.
     #[inline(always)]
     pub fn samples(&self, x: usize, y: usize) -> &[u32; LANES] {
         &self.nearest[(y - self.y) * TILE_WIDTH + (x - self.x)]
+    }
+
+    /// Writes the samples of the block whose first pixel is `(x, y)`.
+    #[inline(always)]
+    fn write<V: F32x8>(&mut self, shown: &Block, x: usize, y: usize) {
+        for dy in 0..BLOCK {
+            let at = (y + dy - self.y) * TILE_WIDTH + (x - self.x);
+            let (depths, keys) = (&mut self.inverse_depth[at..at + BLOCK], &mut self.nearest[at..at + BLOCK]);
+            match shown {
+                Block::Samples => {}
+                Block::Nothing => {
+                    depths.fill([0.0; LANES]);
+                    keys.fill([0; LANES]);
+                }
+                Block::One(key, planes) => {
+                    let (offsets, values) = (planes.sample_offsets::<V>()[3], planes.centers::<V>(dy)[3].to_array());
+                    for dx in 0..BLOCK {
+                        (offsets + V::splat(values[dx])).store(&mut depths[dx]);
+                        keys[dx] = [*key; LANES];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether a block shows one triangle only, after the triangle `planes` has been drawn there; if not,
+    /// the samples are ready to be drawn on.
+    #[inline(always)]
+    fn takes_whole<V: F32x8>(&mut self, planes: &Planes, key: u32, x: usize, y: usize) -> bool {
+        let block = self.block(x, y);
+        let shown = self.blocks[block];
+        let behind = match &shown {
+            Block::Samples => return false,
+            Block::Nothing => true,
+            Block::One(_, other) => other.high <= planes.low,
+        };
+        if behind && planes.covers && planes.high <= self.max_inverse_depth {
+            self.blocks[block] = Block::One(key, *planes);
+            return true;
+        }
+        self.write::<V>(&shown, x, y);
+        self.blocks[block] = Block::Samples;
+        false
     }
 
     /// The pixel `(x, y)` of the image, centre mode.
@@ -196,21 +278,21 @@ impl Tile {
         self.nearest[row * groups..(row + 1) * groups].as_flattened()
     }
 
-    /// Draws all samples of every pixel. Keys are the places in `setups` plus one; of triangles at
-    /// the same depth the first one shows.
-    pub fn draw_area(&mut self, setups: &[Setup], list: &[u32]) {
-        simd::dispatch(simd::level(), Area { tile: self, setups, list });
+    /// Draws all samples of every pixel. Keys are the numbers of the setups plus one; of triangles
+    /// at the same depth the first one shows.
+    pub fn draw_area(&mut self, binned: &Binned) {
+        simd::dispatch(simd::level(), Area { tile: self, binned });
     }
 
     /// Draws pixel centres only; see [`Tile::draw_area`].
-    pub fn draw_centers(&mut self, setups: &[Setup], list: &[u32]) {
-        simd::dispatch(simd::level(), Centers { tile: self, setups, list });
+    pub fn draw_centers(&mut self, binned: &Binned) {
+        simd::dispatch(simd::level(), Centers { tile: self, binned });
     }
 
     /// Whether a triangle may show in a block; remembers the depth that it gives the block.
     #[inline(always)]
     fn visits(&mut self, planes: &Planes, x: usize, y: usize) -> bool {
-        let block = (y - self.y) / BLOCK * (TILE_WIDTH / BLOCK) + (x - self.x) / BLOCK;
+        let block = self.block(x, y);
         if planes.high < self.floor[block] {
             return false;
         }
@@ -246,8 +328,7 @@ fn replace<V: F32x8>(z: &mut Lanes, nearest: &mut [u32; LANES], depth: V, inside
 
 struct Area<'a> {
     tile: &'a mut Tile,
-    setups: &'a [Setup],
-    list: &'a [u32],
+    binned: &'a Binned,
 }
 
 impl Kernel for Area<'_> {
@@ -255,22 +336,26 @@ impl Kernel for Area<'_> {
 
     #[inline(always)]
     fn run<V: F32x8>(self) {
-        for &s in self.list.iter().rev() {
-            area::<V>(self.tile, &self.setups[s as usize], s + 1);
+        let (x, y) = (self.tile.x / TILE_WIDTH, self.tile.y / TILE_HEIGHT);
+        for i in (0..self.binned.lists()).rev() {
+            let list = self.binned.list(x, y, i);
+            for &place in list.order.iter().rev() {
+                area::<V>(self.tile, &list.setups[usize::from(place)], list.first + u32::from(place) + 1);
+            }
         }
     }
 }
 
 #[inline(always)]
-fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, key: u32) {
+fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, number: u32) {
     let (x0, x1, y0, y1) = tile.clip(setup);
     let limit = V::splat(tile.max_inverse_depth);
     let all = V::zero().ge(V::zero());
-    let key = V::Int::splat(key as i32);
+    let key = V::Int::splat(number as i32);
     for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
         for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
             let Some(planes) = Planes::at(setup, bx, by) else { continue };
-            if !tile.visits(&planes, bx, by) {
+            if !tile.visits(&planes, bx, by) || tile.takes_whole::<V>(&planes, number, bx, by) {
                 continue;
             }
             let offsets = planes.sample_offsets::<V>();
@@ -315,8 +400,7 @@ fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, key: u32) {
 
 struct Centers<'a> {
     tile: &'a mut Tile,
-    setups: &'a [Setup],
-    list: &'a [u32],
+    binned: &'a Binned,
 }
 
 impl Kernel for Centers<'_> {
@@ -324,8 +408,12 @@ impl Kernel for Centers<'_> {
 
     #[inline(always)]
     fn run<V: F32x8>(self) {
-        for &s in self.list.iter().rev() {
-            centers::<V>(self.tile, &self.setups[s as usize], s + 1);
+        let (x, y) = (self.tile.x / TILE_WIDTH, self.tile.y / TILE_HEIGHT);
+        for i in (0..self.binned.lists()).rev() {
+            let list = self.binned.list(x, y, i);
+            for &place in list.order.iter().rev() {
+                centers::<V>(self.tile, &list.setups[usize::from(place)], list.first + u32::from(place) + 1);
+            }
         }
     }
 }

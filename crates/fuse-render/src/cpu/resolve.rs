@@ -1,28 +1,56 @@
 //! From the samples of a tile to the colours of its pixels.
 //!
-//! Each triangle in a pixel is shaded once, at the mean of the samples it covers, and weighted
-//! with their number.
+//! Each thing in a pixel is shaded once, at the mean of the samples that its first triangle covers, and
+//! weighted with the number of samples. Triangles are one thing where they go on one another: same
+//! part, nearly the same plane. Else pixels in which a fine mesh has many triangles, which look the
+//! same, would take most of the time.
 
 use std::ops::Range;
 
-use fuse_camera::simd::{self, F32x8, Kernel};
+use fuse_camera::simd::{self, F32x8, I32x8, Kernel};
 use glam::Vec3A;
 
-use super::geometry::Geometry;
-use super::points::{Fragment, GROUP};
-use super::raster::{LANES, SAMPLES, Tile};
+use super::points::{Fragment, GROUP, Triangles};
+use super::raster::{BLOCK, LANES, SAMPLES, Tile};
 use super::shade::{Group, Shade, Shading};
 use super::transform::Setup;
+
+/// Least cosine of the angle between triangles that are shaded as one.
+pub(crate) const ALIKE: f32 = 0.95;
+/// Largest distance in depth between them, as a share of the depth.
+pub(crate) const NEARBY: f32 = 0.005;
+
+/// Mean offset of the samples that are set in the index, pixels.
+const MEANS: [[f32; 2]; 1 << LANES] = {
+    let mut means = [[0.0; 2]; 1 << LANES];
+    let mut mask = 1;
+    while mask < means.len() {
+        let (mut n, mut sum, mut s) = (0.0, [0.0, 0.0], 0);
+        while s < LANES {
+            if mask >> s & 1 != 0 {
+                n += 1.0;
+                sum = [sum[0] + SAMPLES[s][0], sum[1] + SAMPLES[s][1]];
+            }
+            s += 1;
+        }
+        means[mask] = [sum[0] / n, sum[1] / n];
+        mask += 1;
+    }
+    means
+};
 
 /// Fragments of one tile and their colours, and which of them make up each pixel.
 #[derive(Default)]
 pub(super) struct Colors {
     fragments: Vec<Fragment>,
-    /// The same, surface by surface, and where each fragment went.
+    /// The same, surface by surface.
     sorted: Vec<Fragment>,
+    /// Where each fragment went there; the number of its run, until the runs' lengths are known.
     places: Vec<u32>,
-    /// Surfaces of the tile, and the end of each one's fragments.
+    /// Surfaces of the tile, and number or end of each one's fragments.
     runs: Vec<(u32, u32)>,
+    /// The last setup and its run.
+    last: (u32, u32),
     /// Colours of `sorted`.
     colors: Vec<Vec3A>,
     groups: Vec<Group>,
@@ -36,91 +64,102 @@ pub(super) struct Colors {
 
 impl Colors {
     /// Lists what the pixels of a tile show, row by row.
-    pub fn resolve(&mut self, tile: &Tile, columns: Range<usize>, rows: Range<usize>) {
+    pub fn resolve(&mut self, scene: &Triangles<'_>, tile: &Tile, columns: Range<usize>, rows: Range<usize>) {
         self.fragments.clear();
         self.covered.clear();
         self.pixels.clear();
+        self.places.clear();
+        self.runs.clear();
+        self.last = (u32::MAX, 0);
         self.read = (0, 0);
-        simd::dispatch(simd::level(), Resolve { colors: self, tile, columns, rows });
+        simd::dispatch(simd::level(), Resolve { colors: self, scene, tile, columns, rows });
     }
 
     #[inline(always)]
-    fn pixel_of(&mut self, samples: &[u32; LANES], x: u16, y: u16) {
-        let first = samples[0];
-        let mut other = 0;
-        for sample in samples {
-            other |= sample ^ first;
-        }
-        if other == 0 {
-            if first == 0 {
-                self.pixels.push((0, LANES as u8));
-            } else {
-                self.add(Fragment { setup: first - 1, x, y, dx: 0.0, dy: 0.0 }, LANES as u8);
-                self.pixels.push((1, 0));
-            }
-            return;
-        }
-        self.several(samples, x, y);
-    }
-
-    /// A pixel that shows more than one thing.
-    fn several(&mut self, samples: &[u32; LANES], x: u16, y: u16) {
+    fn pixel_of<V: F32x8>(&mut self, scene: &Triangles<'_>, samples: &[u32; LANES], x: u16, y: u16) {
+        let keys = V::Int::load(samples);
+        let mut left = u8::MAX;
         let (mut count, mut background) = (0, 0);
-        for (i, &key) in samples.iter().enumerate() {
+        while left != 0 {
+            let key = samples[left.trailing_zeros() as usize];
+            let mut covered = keys.equal(V::Int::splat(key as i32)).mask_bits();
+            left &= !covered;
             let Some(setup) = key.checked_sub(1) else {
-                background += 1;
+                background = covered.count_ones() as u8;
                 continue;
             };
-            if samples[..i].contains(&key) {
-                continue;
+            let [dx, dy] = MEANS[covered as usize];
+            let fragment = Fragment { setup, x, y, dx, dy };
+            let mut others = left;
+            while others != 0 {
+                let other = samples[others.trailing_zeros() as usize];
+                let same = keys.equal(V::Int::splat(other as i32)).mask_bits();
+                others &= !same;
+                if other != 0 && scene.alike(&fragment, other - 1) {
+                    covered |= same;
+                    left &= !same;
+                }
             }
-            let (mut n, mut dx, mut dy) = (0u8, 0.0, 0.0);
-            for (s, _) in samples.iter().enumerate().filter(|(_, k)| **k == key) {
-                n += 1;
-                dx += SAMPLES[s][0];
-                dy += SAMPLES[s][1];
-            }
-            let share = 1.0 / f32::from(n);
-            self.add(Fragment { setup, x, y, dx: dx * share, dy: dy * share }, n);
+            self.add(scene, fragment, covered.count_ones() as u8);
             count += 1;
         }
         self.pixels.push((count, background));
     }
 
+    /// Pixels of one row that show one thing, or nothing for key 0.
     #[inline(always)]
-    fn add(&mut self, fragment: Fragment, samples: u8) {
+    fn row(&mut self, scene: &Triangles<'_>, key: u32, columns: Range<usize>, y: u16) {
+        let Some(setup) = key.checked_sub(1) else {
+            self.pixels.extend(columns.map(|_| (0, LANES as u8)));
+            return;
+        };
+        let (run, n) = (self.run(scene, setup), columns.len());
+        self.runs[run as usize].1 += n as u32;
+        self.fragments.extend(columns.map(|x| Fragment { setup, x: x as u16, y, dx: 0.0, dy: 0.0 }));
+        self.places.extend(std::iter::repeat_n(run, n));
+        self.covered.extend(std::iter::repeat_n(LANES as u8, n));
+        self.pixels.extend(std::iter::repeat_n((1, 0), n));
+    }
+
+    #[inline(always)]
+    fn add(&mut self, scene: &Triangles<'_>, fragment: Fragment, samples: u8) {
+        let run = self.run(scene, fragment.setup);
+        self.runs[run as usize].1 += 1;
         self.fragments.push(fragment);
+        self.places.push(run);
         self.covered.push(samples);
     }
 
+    /// Number of the run of a triangle's surface.
+    #[inline(always)]
+    fn run(&mut self, scene: &Triangles<'_>, setup: u32) -> u32 {
+        if self.last.0 != setup {
+            let surface = scene.geometry.parts[scene.binned.setup(setup).part as usize].surface;
+            self.last = (setup, self.run_of(surface));
+        }
+        self.last.1
+    }
+
+    fn run_of(&mut self, surface: u32) -> u32 {
+        let known = self.runs.iter().position(|r| r.0 == surface);
+        known.unwrap_or_else(|| {
+            self.runs.push((surface, 0));
+            self.runs.len() - 1
+        }) as u32
+    }
+
     /// Shades the fragments, those of one surface together.
-    pub fn shade(&mut self, geometry: &Geometry, shading: &Shading, setups: &[Setup], eye: Vec3A) {
-        self.sort(geometry, setups);
+    pub fn shade(&mut self, scene: &Triangles<'_>, shading: &Shading, eye: Vec3A) {
+        self.sort();
         self.colors.clear();
         self.colors.resize(self.sorted.len(), Vec3A::ZERO);
         let (fragments, colors, groups) = (&self.sorted[..], &mut self.colors[..], &mut self.groups);
-        simd::dispatch(simd::level(), Shade { geometry, shading, setups, eye, fragments, colors, groups });
+        simd::dispatch(simd::level(), Shade { scene, shading, eye, fragments, colors, groups });
     }
 
     /// Puts the fragments of each surface into groups of their own, the last one filled up with
     /// its last fragment.
-    fn sort(&mut self, geometry: &Geometry, setups: &[Setup]) {
-        let surface = |f: &Fragment| {
-            let triangle = setups[f.setup as usize].triangle as usize;
-            geometry.parts[geometry.triangle_part[triangle] as usize].surface
-        };
-        self.runs.clear();
-        self.places.clear();
-        // Here a place is the number of the run, until the runs' lengths are known.
-        for fragment in &self.fragments {
-            let surface = surface(fragment);
-            let run = self.runs.iter().position(|r| r.0 == surface).unwrap_or_else(|| {
-                self.runs.push((surface, 0));
-                self.runs.len() - 1
-            });
-            self.runs[run].1 += 1;
-            self.places.push(run as u32);
-        }
+    fn sort(&mut self) {
         let mut end = 0;
         for run in &mut self.runs {
             let length = run.1;
@@ -161,8 +200,24 @@ impl Colors {
     }
 }
 
+impl Triangles<'_> {
+    /// Whether a triangle goes on the one at the fragment, so that both look the same there.
+    #[inline(always)]
+    fn alike(&self, fragment: &Fragment, other: u32) -> bool {
+        let (a, b) = (self.binned.setup(fragment.setup), self.binned.setup(other));
+        if a.part != b.part {
+            return false;
+        }
+        let facet = |s: &Setup| self.geometry.facets[s.triangle as usize];
+        let (u, v) = fragment.at();
+        let (wa, wb) = (a.inverse_depth(u, v), b.inverse_depth(u, v));
+        facet(a).dot(facet(b)) >= ALIKE && (wa - wb).abs() <= f64::from(NEARBY) * wa
+    }
+}
+
 struct Resolve<'a> {
     colors: &'a mut Colors,
+    scene: &'a Triangles<'a>,
     tile: &'a Tile,
     columns: Range<usize>,
     rows: Range<usize>,
@@ -174,8 +229,15 @@ impl Kernel for Resolve<'_> {
     #[inline(always)]
     fn run<V: F32x8>(self) {
         for y in self.rows {
-            for x in self.columns.start..self.columns.end {
-                self.colors.pixel_of(self.tile.samples(x, y), x as u16, y as u16);
+            for left in (self.columns.start..self.columns.end).step_by(BLOCK) {
+                let columns = left..(left + BLOCK).min(self.columns.end);
+                if let Some(key) = self.tile.whole_block(left, y) {
+                    self.colors.row(self.scene, key, columns, y as u16);
+                    continue;
+                }
+                for x in columns {
+                    self.colors.pixel_of::<V>(self.scene, self.tile.samples(x, y), x as u16, y as u16);
+                }
             }
         }
     }

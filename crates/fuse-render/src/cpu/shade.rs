@@ -3,12 +3,11 @@
 use fuse_camera::simd::{F32x8, Kernel, Level, dispatch};
 use glam::Vec3A;
 
-use super::geometry::{Geometry, Surface};
+use super::geometry::Surface;
 use super::lanes::{V3, clamp};
 use super::occlusion::Occlusion;
-use super::points::{Fragment, GROUP, Points};
+use super::points::{Fragment, GROUP, Points, Triangles};
 use super::shadow::Shadow;
-use super::transform::Setup;
 use crate::Light;
 
 /// The tone curve is straight up to here, and how fast colours beyond it turn white.
@@ -60,14 +59,16 @@ impl Lamp {
     }
 }
 
+/// Groups that are shaded together.
+const BATCH: usize = 16;
+
 /// Shades fragments: `colors` are display-linear, as many as `fragments`, which come in whole groups.
 ///
-/// One step after the other for all groups: the groups of a step do not wait for one another, so
-/// that the processor works on several at a time.
+/// One step after the other for a batch of groups: the groups of a step do not wait for one another, so
+/// that the processor works on several at a time; and a batch stays in its nearest cache.
 pub(super) struct Shade<'a> {
-    pub geometry: &'a Geometry,
+    pub scene: &'a Triangles<'a>,
     pub shading: &'a Shading,
-    pub setups: &'a [Setup],
     pub eye: Vec3A,
     pub fragments: &'a [Fragment],
     pub colors: &'a mut [Vec3A],
@@ -90,41 +91,52 @@ impl Kernel for Shade<'_> {
 
     #[inline(always)]
     fn run<V: F32x8>(self) {
-        let fragments = self.fragments.as_chunks::<GROUP>().0;
-        if self.groups.len() < fragments.len() {
-            self.groups.resize(fragments.len(), Group::default());
+        self.groups.resize(BATCH, Group::default());
+        let (fragments, colors) = (self.fragments.as_chunks::<GROUP>().0, self.colors.as_chunks_mut::<GROUP>().0);
+        for (fragments, colors) in fragments.chunks(BATCH).zip(colors.chunks_mut(BATCH)) {
+            batch::<V>(self.scene, self.shading, self.eye, fragments, &mut self.groups[..fragments.len()], colors);
         }
-        let groups = &mut self.groups[..fragments.len()];
-        let surfaces = &self.geometry.surfaces;
-        for (group, fragments) in groups.iter_mut().zip(fragments) {
-            group.points.fill::<V>(self.geometry, self.setups, fragments);
-            group.points.face::<V>(self.eye);
-        }
+    }
+}
+
+#[inline(always)]
+fn batch<V: F32x8>(
+    scene: &Triangles<'_>,
+    shading: &Shading,
+    eye: Vec3A,
+    fragments: &[[Fragment; GROUP]],
+    groups: &mut [Group],
+    colors: &mut [[Vec3A; GROUP]],
+) {
+    let surfaces = &scene.geometry.surfaces;
+    for (group, fragments) in groups.iter_mut().zip(fragments) {
+        group.points.fill::<V>(scene, fragments);
+        group.points.face::<V>(eye);
+    }
+    for group in groups.iter_mut() {
+        base_color::<V>(&surfaces[group.points.surface], &group.points).store(&mut group.base);
+    }
+    if let Some(occlusion) = &shading.occlusion {
         for group in groups.iter_mut() {
-            base_color::<V>(&surfaces[group.points.surface], &group.points).store(&mut group.base);
+            let seen = Seen::<V>::new(&group.points);
+            let (sky, mirror) = occlusion.at(seen.position, seen.normal, seen.reflection());
+            sky.store(&mut group.hidden[0]);
+            mirror.store(&mut group.hidden[1]);
         }
-        if let Some(occlusion) = &self.shading.occlusion {
-            for group in groups.iter_mut() {
-                let seen = Seen::<V>::new(&group.points);
-                let (sky, mirror) = occlusion.at(seen.position, seen.normal, seen.reflection());
-                sky.store(&mut group.hidden[0]);
-                mirror.store(&mut group.hidden[1]);
-            }
+    }
+    if let Some(shadow) = &shading.shadow {
+        for group in groups.iter_mut() {
+            let seen = Seen::<V>::new(&group.points);
+            let lit = shading.light.reaches(&seen);
+            shadow.visibility(seen.position, seen.facet, lit).store(&mut group.visible);
         }
-        if let Some(shadow) = &self.shading.shadow {
-            for group in groups.iter_mut() {
-                let seen = Seen::<V>::new(&group.points);
-                let lit = self.shading.light.reaches(&seen);
-                shadow.visibility(seen.position, seen.facet, lit).store(&mut group.visible);
-            }
-        }
-        for (group, colors) in groups.iter().zip(self.colors.as_chunks_mut::<GROUP>().0) {
-            let radiance = self.shading.reflected::<V>(group, &surfaces[group.points.surface]);
-            let mut out = [[0.0; GROUP]; 3];
-            self.shading.display(radiance).store(&mut out);
-            for (i, color) in colors.iter_mut().enumerate() {
-                *color = Vec3A::new(out[0][i], out[1][i], out[2][i]);
-            }
+    }
+    for (group, colors) in groups.iter().zip(colors) {
+        let radiance = shading.reflected::<V>(group, &surfaces[group.points.surface]);
+        let mut out = [[0.0; GROUP]; 3];
+        shading.display(radiance).store(&mut out);
+        for (i, color) in colors.iter_mut().enumerate() {
+            *color = Vec3A::new(out[0][i], out[1][i], out[2][i]);
         }
     }
 }

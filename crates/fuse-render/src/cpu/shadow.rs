@@ -16,7 +16,7 @@ use fuse_camera::simd::{self, F32x8};
 use glam::{DMat3, DVec3, Vec2, Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::Binned;
+use super::binned::Binned;
 use super::geometry::Geometry;
 use super::lanes::{V3, less};
 use super::raster::{TILE_HEIGHT, TILE_WIDTH, Tile};
@@ -323,20 +323,18 @@ struct Receiver {
 
 /// Inverse depth seen at every pixel centre of a view; 0 where there is nothing.
 pub(super) fn inverse_depths(geometry: &Geometry, view: &View) -> Vec<f32> {
-    let vertices = view.vertices(geometry);
-    let binned = Binned::new(view, view.setups(geometry, &vertices, Sampling::Center));
+    let binned = Binned::new(view, geometry, Sampling::Center);
     let w = view.width as usize;
     let mut out = vec![0.0f32; w * view.height as usize];
     out.par_chunks_mut(TILE_HEIGHT * w).enumerate().for_each_init(
         || Tile::new(view, 1),
         |tile, (ty, rows)| {
             for tx in 0..binned.tiles_x {
-                let list = binned.tile(tx, ty);
-                if list.is_empty() {
+                if binned.is_empty(tx, ty) {
                     continue;
                 }
                 tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                tile.draw_centers(&binned.setups, list);
+                tile.draw_centers(&binned);
                 for (row, out) in rows.chunks_mut(w).enumerate() {
                     let columns = tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w);
                     let n = columns.len();

@@ -9,28 +9,34 @@
 //!
 //! `1 / z = Σ E_i / det`, linear in `(u, v)`.
 
+use std::ops::Range;
+
 use fuse_camera::Camera;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::geometry::Geometry;
+use super::raster::{TILE_HEIGHT, TILE_WIDTH};
 
-/// Triangles that one task sets up.
-const CHUNK: usize = 2048;
+/// Fewest vertices that a task projects.
+const FEWEST: usize = 2048;
 
 /// A triangle that may cover pixels `x0..=x1`, `y0..=y1`.
 #[derive(Clone, Copy)]
 pub(super) struct Setup {
-    /// Rows `(A, B, C)`: `E_i = A u + B v + C`; barycentric weights up to their common sum.
-    pub edges: [DVec3; 3],
-    /// `1 / z = inverse_depth · (u, v, 1)`.
-    pub inverse_depth: DVec3,
+    /// `du u + dv v + value` are the edge functions `E_0`, `E_1`, `E_2`, barycentric weights up to
+    /// their common sum, and `1 / z`.
+    pub du: [f64; 4],
+    pub dv: [f64; 4],
+    pub value: [f64; 4],
     pub x0: u16,
     pub x1: u16,
     pub y0: u16,
     pub y1: u16,
     /// Index into [`Geometry::triangles`].
     pub triangle: u32,
+    /// Index into [`Geometry::parts`].
+    pub part: u32,
 }
 
 /// Where samples lie within pixels: decides which small triangles can be dropped.
@@ -79,38 +85,41 @@ impl View {
     }
 
     /// Every vertex of the scene, in order.
-    pub fn vertices(&self, geometry: &Geometry) -> Vec<Vertex> {
+    pub fn vertices(&self, geometry: &Geometry, to: &mut Vec<Vertex>) {
         let project = |p: &glam::Vec3| {
             let p = self.matrix * p.as_dvec3() + self.offset;
             let inverse = 1.0 / p.z;
             Vertex { p, u: p.x * inverse, v: p.y * inverse }
         };
-        geometry.positions.par_iter().with_min_len(CHUNK).map(project).collect()
+        geometry.positions.par_iter().with_min_len(FEWEST).map(project).collect_into_vec(to);
     }
 
-    /// The triangles that face the camera (or are double-sided) and may cover a sample, in order.
-    pub fn setups(&self, geometry: &Geometry, vertices: &[Vertex], sampling: Sampling) -> Vec<Setup> {
-        let chunks: Vec<Vec<Setup>> = geometry
-            .triangles
-            .par_chunks(CHUNK)
-            .enumerate()
-            .map(|(chunk, triangles)| {
-                let first = chunk * CHUNK;
-                let mut out = Vec::with_capacity(triangles.len() / 2);
-                for (k, t) in triangles.iter().enumerate() {
-                    let p = [vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize]];
-                    let part = geometry.triangle_part[first + k] as usize;
-                    let double_sided = geometry.parts[part].double_sided;
-                    out.extend(self.setup(p, (first + k) as u32, double_sided, sampling));
-                }
-                out
-            })
-            .collect();
-        chunks.concat()
+    /// Those of the triangles that face the camera (or are double-sided) and may cover a sample, in order.
+    pub fn setups(
+        &self,
+        geometry: &Geometry,
+        vertices: &[Vertex],
+        triangles: Range<usize>,
+        sampling: Sampling,
+        to: &mut Vec<Setup>,
+    ) {
+        let first = triangles.start;
+        let parts = &geometry.triangle_part[triangles.clone()];
+        for (i, (t, &part)) in geometry.triangles[triangles].iter().zip(parts).enumerate() {
+            let q = [&vertices[t[0] as usize], &vertices[t[1] as usize], &vertices[t[2] as usize]];
+            let double_sided = geometry.parts[part as usize].double_sided;
+            to.extend(self.setup(q, ((first + i) as u32, part), double_sided, sampling));
+        }
     }
 
     #[inline]
-    fn setup(&self, q: [Vertex; 3], triangle: u32, double_sided: bool, sampling: Sampling) -> Option<Setup> {
+    fn setup(
+        &self,
+        q: [&Vertex; 3],
+        (triangle, part): (u32, u32),
+        double_sided: bool,
+        sampling: Sampling,
+    ) -> Option<Setup> {
         if !double_sided && self.turned_away(&q) {
             return None;
         }
@@ -124,12 +133,15 @@ impl View {
         }
         let edges = if det < 0.0 { [-n[0], -n[1], -n[2]] } else { n };
         let inverse_depth = (edges[0] + edges[1] + edges[2]) / det.abs();
-        Some(Setup { edges, inverse_depth, x0, x1, y0, y1, triangle })
+        let [a, b, c] = edges;
+        let d = inverse_depth;
+        let (du, dv, value) = ([a.x, b.x, c.x, d.x], [a.y, b.y, c.y, d.y], [a.z, b.z, c.z, d.z]);
+        Some(Setup { du, dv, value, x0, x1, y0, y1, triangle, part })
     }
 
     /// Whether a triangle in front of the camera is seen from behind, without doubt.
     #[inline]
-    fn turned_away(&self, [a, b, c]: &[Vertex; 3]) -> bool {
+    fn turned_away(&self, [a, b, c]: &[&Vertex; 3]) -> bool {
         let (abx, aby, acx, acy) = (b.u - a.u, b.v - a.v, c.u - a.u, c.v - a.v);
         // Positive areas are clockwise in the picture, where v grows downwards.
         let area = abx * acy - aby * acx;
@@ -138,7 +150,7 @@ impl View {
 
     /// Inclusive pixel bounds; `None` when no sample of the image can be covered.
     #[inline]
-    fn pixel_bounds(&self, q: &[Vertex; 3], sampling: Sampling) -> Option<(u16, u16, u16, u16)> {
+    fn pixel_bounds(&self, q: &[&Vertex; 3], sampling: Sampling) -> Option<(u16, u16, u16, u16)> {
         let [a, b, c] = q;
         let (lo, hi) = if a.p.z.min(b.p.z).min(c.p.z) >= self.near {
             let lo = (a.u.min(b.u).min(c.u), a.v.min(b.v).min(c.v));
@@ -152,7 +164,7 @@ impl View {
     }
 
     /// Image bounds `(low, high)` of the part beyond the near plane.
-    fn clipped_bounds(&self, q: &[Vertex; 3]) -> ((f64, f64), (f64, f64)) {
+    fn clipped_bounds(&self, q: &[&Vertex; 3]) -> ((f64, f64), (f64, f64)) {
         let (mut lo, mut hi) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         let mut extend = |p: DVec3| {
             let (u, v) = (p.x / p.z, p.y / p.z);
@@ -197,7 +209,31 @@ fn pixel_range(lo: f64, hi: f64, size: u32, sampling: Sampling) -> Option<(u16, 
 
 impl Setup {
     /// Planar depth at continuous image coordinates, metres.
+    #[inline(always)]
     pub fn depth(&self, u: f64, v: f64) -> f32 {
-        (1.0 / self.inverse_depth.dot(DVec3::new(u, v, 1.0))) as f32
+        (1.0 / self.inverse_depth(u, v)) as f32
+    }
+
+    /// The same inverted.
+    #[inline(always)]
+    pub fn inverse_depth(&self, u: f64, v: f64) -> f64 {
+        self.du[3] * u + self.dv[3] * v + self.value[3]
+    }
+
+    /// Edge functions and inverse depth at continuous image coordinates.
+    #[inline(always)]
+    pub fn at(&self, u: f64, v: f64) -> [f64; 4] {
+        let mut out = [0.0; 4];
+        for i in 0..4 {
+            out[i] = self.du[i] * u + self.dv[i] * v + self.value[i];
+        }
+        out
+    }
+
+    /// Columns and rows of the tiles that it may touch.
+    #[inline]
+    pub fn tiles(&self) -> (Range<usize>, Range<usize>) {
+        let columns = self.x0 as usize / TILE_WIDTH..self.x1 as usize / TILE_WIDTH + 1;
+        (columns, self.y0 as usize / TILE_HEIGHT..self.y1 as usize / TILE_HEIGHT + 1)
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::cpu::raster::{LANES, SAMPLES};
 use crate::cpu::shadow::baked;
-use crate::cpu::{occlusion, shade, shadow, texture};
+use crate::cpu::{occlusion, resolve, shade, shadow, texture};
 
 /// Most shadow maps: a fine one and a coarse one.
 pub(crate) const SHADOW_MAPS: usize = 2;
@@ -67,6 +67,8 @@ impl Stage {
 /// The CPU's constants in WGSL.
 fn constants() -> String {
     let numbers = [
+        ("ALIKE", resolve::ALIKE),
+        ("NEARBY", resolve::NEARBY),
         ("MAX_TAPS", texture::MAX_TAPS),
         ("TAP_ASPECT", texture::ASPECT),
         ("TAP_STRETCH", texture::STRETCH),

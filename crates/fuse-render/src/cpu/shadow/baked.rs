@@ -8,7 +8,7 @@ use fuse_camera::simd::{F32x8, I32x8};
 use glam::{Vec2, Vec3A};
 use rayon::prelude::*;
 
-use super::super::Binned;
+use super::super::binned::Binned;
 use super::super::geometry::Geometry;
 use super::super::lanes::less;
 use super::super::raster::{TILE_HEIGHT, TILE_WIDTH, Tile};
@@ -45,8 +45,7 @@ impl Baked {
         let resolution = map.levels[0].side;
         let side = (resolution / 2).next_multiple_of(BLOCK);
         let view = map.view(side as u32, resolution as u32);
-        let vertices = view.vertices(geometry);
-        let binned = Binned::new(&view, view.setups(geometry, &vertices, Sampling::Center));
+        let binned = Binned::new(&view, geometry, Sampling::Center);
         let mut baked =
             Self { layers: [Vec::new(), Vec::new()], side, nearest: 0.0, scale: side as f32 / resolution as f32 };
         let first = Surfaces::new(&view, &binned, None);
@@ -67,7 +66,7 @@ impl Baked {
                         let at = (band * BLOCK + row) * side + x;
                         let w = surfaces.inverse_depth[at];
                         if w > 0.0 {
-                            let setup = || &binned.setups[surfaces.nearest[at] as usize - 1];
+                            let setup = || binned.setup(surfaces.nearest[at] - 1);
                             let share = whole.unwrap_or_else(|| {
                                 let facet = geometry.facets[setup().triangle as usize];
                                 self.texel(map, facet, (x, band * BLOCK + row), w)
@@ -185,8 +184,7 @@ impl Surfaces {
             || Tile::new(view, 1),
             |tile, (ty, (depths, nearest))| {
                 for tx in 0..binned.tiles_x {
-                    let list = binned.tile(tx, ty);
-                    if list.is_empty() {
+                    if binned.is_empty(tx, ty) {
                         continue;
                     }
                     let columns = tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w);
@@ -194,7 +192,7 @@ impl Surfaces {
                     if front.is_some() {
                         tile.limit(|x, y| if x < w { behind(y * w + x) } else { 0.0 });
                     }
-                    tile.draw_centers(&binned.setups, list);
+                    tile.draw_centers(binned);
                     for row in 0..depths.len() / w {
                         let n = columns.len();
                         let to = row * w + columns.start..row * w + columns.end;
