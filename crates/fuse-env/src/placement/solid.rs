@@ -61,15 +61,9 @@ impl Solid {
         let bounds = [points().reduce(Vec3::min)?, points().reduce(Vec3::max)?];
         let samples = samples(groups.iter().flatten().map(|t| t.0));
         let cavity = cavity::find(&parts, &samples, bounds[0], bounds[1]);
-        let mut hulls: Vec<Hull> = vec![];
-        for (i, group) in groups.iter().enumerate() {
-            let triangles: Vec<[Vec3; 3]> = group.iter().map(|t| t.0).collect();
-            let hollow = cavity.and_then(|c| hollow(&triangles, &c));
-            let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
-            hulls.extend(compound::decompose(&triangles, hollow, most));
-        }
+        let convex = pieces(&groups, cavity).into_iter().filter_map(|points| polyhedron(&points));
         let shapes: Vec<(Pose, SharedShape)> =
-            hulls.into_iter().filter_map(polyhedron).map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
+            convex.map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
         if shapes.is_empty() {
             return None;
         }
@@ -100,13 +94,25 @@ impl Solid {
     }
 }
 
-/// The engine's polyhedron of a hull. It refuses faces that fold by rounding; then its own hull of the same points
-/// will do, or their box.
-fn polyhedron(hull: Hull) -> Option<ConvexPolyhedron> {
-    let boxed = Hull::around(&hull.points);
-    ConvexPolyhedron::from_convex_mesh(hull.points.clone(), &hull.faces)
-        .or_else(|| ConvexPolyhedron::from_convex_hull(&hull.points))
-        .or_else(|| ConvexPolyhedron::from_convex_mesh(boxed.points, &boxed.faces))
+/// The points of the convex pieces of all parts.
+fn pieces(groups: &[Vec<Weighed>], cavity: Option<Cavity>) -> Vec<Vec<Vec3>> {
+    let mut pieces = vec![];
+    for (i, group) in groups.iter().enumerate() {
+        let triangles: Vec<[Vec3; 3]> = group.iter().map(|t| t.0).collect();
+        let hollow = cavity.and_then(|c| hollow(&triangles, &c));
+        let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
+        pieces.extend(compound::decompose(&triangles, hollow, most));
+    }
+    pieces
+}
+
+/// The engine's polyhedron of a piece. It refuses faces that fold by rounding; then the exact hull will do, or the box.
+fn polyhedron(points: &[Vec3]) -> Option<ConvexPolyhedron> {
+    let engines = |hull: Hull| ConvexPolyhedron::from_convex_mesh(hull.points, &hull.faces);
+    Hull::simplified(points)
+        .and_then(engines)
+        .or_else(|| Hull::exact(points).and_then(engines))
+        .or_else(|| engines(Hull::around(points)))
 }
 
 /// The cavity as one part sees it: only a part around its axis is hollow.
@@ -258,3 +264,6 @@ fn longest_first([a, b, c]: [Vec3; 3]) -> (Vec3, Vec3, Vec3) {
         (c, a, b)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -14,8 +14,7 @@ impl Renderer {
     /// shading.
     pub fn normals(&self, camera: &Camera) -> Buffer<[f32; 3]> {
         let view = View::new(camera, self.near);
-        let vertices = view.vertices(&self.geometry);
-        let binned = Binned::new(&view, view.setups(&self.geometry, &vertices, Sampling::Center));
+        let binned = Binned::new(&view, &self.geometry, Sampling::Center);
         let w = view.width as usize;
         let mut normals = Buffer::filled(view.width, view.height, [0.0; 3]);
         normals.as_mut_slice().par_chunks_mut(TILE_HEIGHT * w).enumerate().for_each_init(
@@ -23,12 +22,12 @@ impl Renderer {
             |tile, (ty, normals)| {
                 for tx in 0..binned.tiles_x {
                     tile.reset(tx * TILE_WIDTH, ty * TILE_HEIGHT);
-                    tile.draw_centers(&binned.setups, binned.tile(tx, ty));
+                    tile.draw_centers(&binned);
                     for row in 0..normals.len() / w {
                         let y = ty * TILE_HEIGHT + row;
                         for x in tx * TILE_WIDTH..((tx + 1) * TILE_WIDTH).min(w) {
                             if let Some(index) = tile.center(x, y).checked_sub(1) {
-                                normals[row * w + x] = self.normal(camera, &binned.setups[index as usize], x, y);
+                                normals[row * w + x] = self.normal(camera, binned.setup(index), x, y);
                             }
                         }
                     }
