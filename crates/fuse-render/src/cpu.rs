@@ -27,7 +27,7 @@ use geometry::Geometry;
 use mask::Mask;
 use occlusion::Occlusion;
 use points::Triangles;
-use raster::{LANES, TILE_HEIGHT, TILE_WIDTH, Tile};
+use raster::{BLOCK, LANES, TILE_HEIGHT, TILE_WIDTH, Tile};
 use resolve::Colors;
 use shade::Shading;
 use shadow::Shadow;
@@ -106,17 +106,37 @@ impl Renderer {
                         colors.resolve(&scene, tile, columns.clone(), rows.clone());
                         colors.shade(&scene, &self.shading, eye);
                         for (row, y) in rows.enumerate() {
-                            for x in columns.clone() {
-                                let at = row * w as usize + x;
-                                let key = tile.whole_block(x, y).unwrap_or_else(|| tile.samples(x, y)[0]);
-                                (depth[at], ids[at]) = self.center(binned, key, x, y);
-                                rgb[at] = self.shading.encode.encode(colors.pixel(self.background));
+                            let at = row * w as usize + columns.start..row * w as usize + columns.end;
+                            self.row(binned, tile, (columns.start, y), &mut depth[at.clone()], &mut ids[at.clone()]);
+                            for rgb in &mut rgb[at] {
+                                *rgb = self.shading.encode.encode(colors.pixel(self.background));
                             }
                         }
                     }
                 },
             );
         frame
+    }
+
+    /// Depth and ids of pixels of one row from their centre samples, which begin at `(x, y)`.
+    fn row(&self, binned: &Binned, tile: &Tile, (x, y): (usize, usize), depth: &mut [f32], ids: &mut [u32]) {
+        for (k, (depth, ids)) in depth.chunks_mut(BLOCK).zip(ids.chunks_mut(BLOCK)).enumerate() {
+            let x = x + k * BLOCK;
+            let Some(key) = tile.whole_block(x, y) else {
+                for (i, (depth, id)) in depth.iter_mut().zip(ids).enumerate() {
+                    (*depth, *id) = self.center(binned, tile.samples(x + i, y)[0], x + i, y);
+                }
+                continue;
+            };
+            // The buffers are empty where nothing is seen.
+            if let Some(number) = key.checked_sub(1) {
+                let setup = binned.setup(number);
+                ids.fill(self.id(setup));
+                for (i, depth) in depth.iter_mut().enumerate() {
+                    *depth = setup.depth((x + i) as f64 + 0.5, y as f64 + 0.5);
+                }
+            }
+        }
     }
 
     /// Depth and ids without shading; equal to those of [`Renderer::render`].

@@ -38,6 +38,9 @@ pub(crate) const SAMPLES: [[f32; 2]; LANES] = [
 /// Largest offset of a sample along an axis, and a bit for rounding.
 const REACH: f32 = 0.44;
 
+/// Most pixels in the bounds of a triangle that counts as small.
+const FEW: usize = 6;
+
 type Lanes = [f32; LANES];
 
 /// Linear functions of one triangle at one block: value at the block's corner, and gradients.
@@ -352,6 +355,8 @@ fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, number: u32) {
     let limit = V::splat(tile.max_inverse_depth);
     let all = V::zero().ge(V::zero());
     let key = V::Int::splat(number as i32);
+    // Of small triangles every pixel is looked at; larger ones first tell which to look at.
+    let few = (x1 - x0) * (y1 - y0) <= FEW;
     for by in (y0 & !(BLOCK - 1)..y1).step_by(BLOCK) {
         for bx in (x0 & !(BLOCK - 1)..x1).step_by(BLOCK) {
             let Some(planes) = Planes::at(setup, bx, by) else { continue };
@@ -360,6 +365,26 @@ fn area<V: F32x8>(tile: &mut Tile, setup: &Setup, number: u32) {
             }
             let offsets = planes.sample_offsets::<V>();
             let safe = planes.high <= tile.max_inverse_depth;
+            if few {
+                for y in by.max(y0)..(by + BLOCK).min(y1) {
+                    let row = planes.row(y - by);
+                    for x in bx.max(x0)..(bx + BLOCK).min(x1) {
+                        let mut e = offsets;
+                        for i in 0..4 {
+                            e[i] = offsets[i] + V::splat(row[i] + planes.du[i] * ((x - bx) as f32 + 0.5));
+                        }
+                        let mut shows = inside(&e);
+                        if !safe {
+                            shows = shows.and(limit.ge(e[3]));
+                        }
+                        if shows.mask_bits() != 0 {
+                            let at = (y - tile.y) * TILE_WIDTH + (x - tile.x);
+                            replace(&mut tile.inverse_depth[at], &mut tile.nearest[at], e[3], shows, key);
+                        }
+                    }
+                }
+                continue;
+            }
             // How far an edge's value at a sample can be from that at the centre.
             let mut margin = [V::zero(); 3];
             for i in 0..3 {

@@ -1,9 +1,9 @@
 //! From the samples of a tile to the colours of its pixels.
 //!
-//! Each thing in a pixel is shaded once, at the mean of the samples that its first triangle covers, and
-//! weighted with the number of samples. Triangles are one thing where they go on one another: same
-//! part, nearly the same plane. Else pixels in which a fine mesh has many triangles, which look the
-//! same, would take most of the time.
+//! Each triangle in a pixel is shaded once, at the mean of the samples it covers, and weighted with
+//! their number. But where all triangles of a pixel go on the one at its centre (same part, nearly the
+//! same plane), that one is shaded for all: they look the same, and pixels in which a fine mesh has many
+//! triangles would take most of the time.
 
 use std::ops::Range;
 
@@ -13,9 +13,8 @@ use glam::Vec3A;
 use super::points::{Fragment, GROUP, Triangles};
 use super::raster::{BLOCK, LANES, SAMPLES, Tile};
 use super::shade::{Group, Shade, Shading};
-use super::transform::Setup;
 
-/// Least cosine of the angle between triangles that are shaded as one.
+/// Least cosine of the angle between triangles that go on one another.
 pub(crate) const ALIKE: f32 = 0.95;
 /// Largest distance in depth between them, as a share of the depth.
 pub(crate) const NEARBY: f32 = 0.005;
@@ -82,7 +81,7 @@ impl Colors {
         let (mut count, mut background) = (0, 0);
         while left != 0 {
             let key = samples[left.trailing_zeros() as usize];
-            let mut covered = keys.equal(V::Int::splat(key as i32)).mask_bits();
+            let covered = keys.equal(V::Int::splat(key as i32)).mask_bits();
             left &= !covered;
             let Some(setup) = key.checked_sub(1) else {
                 background = covered.count_ones() as u8;
@@ -90,15 +89,10 @@ impl Colors {
             };
             let [dx, dy] = MEANS[covered as usize];
             let fragment = Fragment { setup, x, y, dx, dy };
-            let mut others = left;
-            while others != 0 {
-                let other = samples[others.trailing_zeros() as usize];
-                let same = keys.equal(V::Int::splat(other as i32)).mask_bits();
-                others &= !same;
-                if other != 0 && scene.alike(&fragment, other - 1) {
-                    covered |= same;
-                    left &= !same;
-                }
+            if count == 0 && background == 0 && scene.go_on::<V>(&fragment, samples, left) {
+                self.add(scene, fragment, LANES as u8);
+                self.pixels.push((1, 0));
+                return;
             }
             self.add(scene, fragment, covered.count_ones() as u8);
             count += 1;
@@ -201,6 +195,19 @@ impl Colors {
 }
 
 impl Triangles<'_> {
+    /// Whether the triangles at all samples of `left` go on the one at the fragment.
+    #[inline(always)]
+    fn go_on<V: F32x8>(&self, fragment: &Fragment, samples: &[u32; LANES], mut left: u8) -> bool {
+        while left != 0 {
+            let key = samples[left.trailing_zeros() as usize];
+            left &= !V::Int::load(samples).equal(V::Int::splat(key as i32)).mask_bits();
+            if key == 0 || !self.alike(fragment, key - 1) {
+                return false;
+            }
+        }
+        true
+    }
+
     /// Whether a triangle goes on the one at the fragment, so that both look the same there.
     #[inline(always)]
     fn alike(&self, fragment: &Fragment, other: u32) -> bool {
@@ -208,10 +215,11 @@ impl Triangles<'_> {
         if a.part != b.part {
             return false;
         }
-        let facet = |s: &Setup| self.geometry.facets[s.triangle as usize];
+        let facets = &self.geometry.facets;
+        let (fa, fb) = (facets[a.triangle as usize], facets[b.triangle as usize]);
         let (u, v) = fragment.at();
         let (wa, wb) = (a.inverse_depth(u, v), b.inverse_depth(u, v));
-        facet(a).dot(facet(b)) >= ALIKE && (wa - wb).abs() <= f64::from(NEARBY) * wa
+        fa.dot(fb) >= ALIKE && (wa - wb).abs() <= f64::from(NEARBY) * wa
     }
 }
 

@@ -28,19 +28,8 @@ fn alike(key: u32, other: u32, at: vec2f) -> bool {
     return dot(normalize_or(a.normal, up), normalize_or(b.normal, up)) >= ALIKE && abs(w.x - w.y) <= NEARBY * w.x;
 }
 
-/// The samples in `left` that show the same as sample `s`.
-fn same(samples: ptr<function, array<u32, LANES>>, left: u32, s: u32) -> u32 {
-    var found = 0u;
-    for (var i = s; i < LANES; i++) {
-        if samples[i] == samples[s] {
-            found |= 1u << i;
-        }
-    }
-    return found & left;
-}
-
-/// Each thing in a pixel is shaded once, at the mean of the samples that its first triangle covers, and
-/// weighted with the number of samples.
+/// Each triangle in a pixel is shaded once, at the mean of the samples it covers, and weighted with
+/// their number; or the one at the centre for all, where all others go on it.
 @compute @workgroup_size(8, 8)
 fn pixels(@builtin(global_invocation_id) at: vec3u) {
     if at.x >= view.width || at.y >= view.height {
@@ -56,26 +45,28 @@ fn pixels(@builtin(global_invocation_id) at: vec3u) {
     while left != 0u {
         let first = firstTrailingBit(left);
         let key = samples[first];
-        var covered = same(&samples, left, first);
-        left &= ~covered;
+        var n = 0.0;
         var offset = vec2f(0.0);
         for (var s = first; s < LANES; s++) {
-            if ((covered >> s) & 1u) != 0u {
+            if ((left >> s) & 1u) != 0u && samples[s] == key {
+                n += 1.0;
                 offset += SAMPLES[s];
+                left &= ~(1u << s);
             }
         }
-        let mean = vec2f(at.xy) + 0.5 + offset / f32(countOneBits(covered));
-        var others = select(0u, left, key != 0u);
-        while others != 0u {
-            let second = firstTrailingBit(others);
-            let more = same(&samples, others, second);
-            others &= ~more;
-            if samples[second] != 0u && alike(key, samples[second], mean) {
-                covered |= more;
-                left &= ~more;
+        let mean = vec2f(at.xy) + 0.5 + offset / n;
+        if first == 0u && key != 0u {
+            var all = true;
+            for (var s = 1u; s < LANES && all; s++) {
+                all = samples[s] == key || (samples[s] != 0u && samples[s] == samples[s - 1u])
+                    || (samples[s] != 0u && alike(key, samples[s], mean));
+            }
+            if all {
+                n = f32(LANES);
+                left = 0u;
             }
         }
-        sum += color_at(key, mean) * f32(countOneBits(covered));
+        sum += color_at(key, mean) * n;
     }
     let c = sum / f32(LANES);
     image[at.y * view.width + at.x] = srgb(c.r) | (srgb(c.g) << 8u) | (srgb(c.b) << 16u);
