@@ -44,7 +44,7 @@ def from_episodes(limit: int) -> Iterator[Picture]:
 
     Things of categories that the network does not know are in the pictures and take no part in the figures.
     """
-    known = set(_core.recognised_categories())
+    known = {name for name, _ in _core.object_categories()}
     views = [(k % 6 + 6 * i, pitch) for k in range(6) for i in range(6) for pitch in (1, 2)]
     done = 0
     for k, episode in enumerate(load_episodes("dev")):

@@ -35,7 +35,7 @@ class Frame:
 
 def frame_of(mask: np.ndarray) -> Frame:
     """The frame of `mask` (H, W) bool, which must not be empty."""
-    height, width = mask.shape
+    height = mask.shape[0]
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     top, left = int(rows[0]), int(columns[0])
     y, x = np.nonzero(mask[top : int(rows[-1]) + 1, left : int(columns[-1]) + 1])
@@ -73,7 +73,7 @@ def frame_of(mask: np.ndarray) -> Frame:
 
 
 def crop(rgb: np.ndarray, mask: np.ndarray, frame: Frame) -> np.ndarray:
-    """(96, 128, 4) uint8: colour and mask (0 or 255, soft at its edge) of `rgb` (H, W, 3) uint8 in `frame`."""
+    """(96, 128, 4) uint8: colour and mask (0 to 255, soft at its edge) of `rgb` (H, W, 3) in `frame`."""
     height, width = mask.shape
     reach = 0.5 * np.hypot(*SIZE) / frame.scale + 2
     x0, x1 = int(max(frame.center[0] - reach, 0)), int(min(frame.center[0] + reach + 1, width))

@@ -3,8 +3,8 @@
 The first finds every object in a picture and says what it may be; the second looks again, at a crop of each
 (`crops.py`), because what tells a fork from a spoon is too small for the first. Together they say how likely
 an object is each of the known labels; prompting by label selects from that, so several labels cost one run.
-Three files belong together: `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json` (labels, input size,
-thresholds, calibration, hashes).
+Three files belong together: `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json` (labels, input
+size, thresholds, calibration, hashes).
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def _sigmoid(x: np.ndarray) -> np.ndarray:
     return 1.0 / (1.0 + np.exp(-np.clip(x, -30.0, 30.0)))
 
 
-def mixed(first: np.ndarray, second: np.ndarray, quality: np.ndarray, mixture: tuple[float, float]) -> np.ndarray:
+def mixed(
+    first: np.ndarray, second: np.ndarray, quality: np.ndarray, mixture: tuple[float, float]
+) -> np.ndarray:
     """(N, labels): what both networks say together, their logits weighted by `mixture`, times the quality."""
     return _softmax(mixture[0] * first + mixture[1] * second)[:, :-1] * _sigmoid(quality)[:, None]
 
@@ -152,8 +154,8 @@ def _session(path: Path, weights: bytes, threads: int) -> onnxruntime.InferenceS
 class EmbeddedSegmenter:
     """Instances of prompted labels by the shipped network; implements `Segmenter`.
 
-    `path`: an ONNX file with the second network and the JSON file beside it; the shipped one when None. Raises InputError for
-    files that are missing, damaged or do not belong together.
+    `path`: an ONNX file with the second network and the JSON file beside it; the shipped one when None.
+    Raises InputError for files that are missing, damaged or do not belong together.
     """
 
     def __init__(self, path: str | Path | None = None, threads: int = 2) -> None:

@@ -33,8 +33,9 @@ class ClassifierConfig:
     warmup: int = 150
     ema: float = 0.997
     smoothing: float = 0.05
-    workers: int = 1
+    workers: int = 2
     seed: int = 0
+    pretrained: bool = True
 
 
 class ClassifierTraining:
@@ -44,7 +45,8 @@ class ClassifierTraining:
         torch.manual_seed(config.seed)
         self.labels, self.config = labels, config
         self.net = CropNet(len(labels))
-        self.net.backbone.load_imagenet()
+        if config.pretrained:
+            self.net.backbone.load_imagenet()
         self.average = Average(self.net, config.ema)
         own = {id(p) for p in self.net.backbone.parameters()}
         groups = [
@@ -54,9 +56,7 @@ class ClassifierTraining:
                 "factor": config.backbone_factor,
             },
         ]
-        self.optimizer = torch.optim.AdamW(
-            groups, lr=config.learning_rate, weight_decay=config.weight_decay
-        )
+        self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
         self.step, self.seconds = 0, 0.0
         self.pool = ThreadPoolExecutor(config.workers)
         self.replicas = [self._replica() for _ in range(config.workers)]

@@ -66,7 +66,9 @@ def _wrong(mask: np.ndarray, ids: np.ndarray, rng: np.random.Generator) -> np.nd
             return mask | other
     rows, columns = np.nonzero(mask)
     height, width = mask.shape
-    shift = np.array([rng.integers(-rows.min(), height - rows.max()), rng.integers(-columns.min(), width - columns.max())])
+    shift = np.array(
+        [rng.integers(-rows.min(), height - rows.max()), rng.integers(-columns.min(), width - columns.max())]
+    )
     moved = np.zeros_like(mask)
     moved[rows + shift[0], columns + shift[1]] = True
     # Where it still lies mostly on one object it would be right.

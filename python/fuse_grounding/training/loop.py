@@ -1,4 +1,4 @@
-"""What training runs share: batches made ahead, averaged weights, a schedule, exact checkpoints. Needs torch."""
+"""What training runs share: batches made ahead, averages, a schedule, exact checkpoints. Needs torch."""
 
 from __future__ import annotations
 
@@ -119,7 +119,9 @@ def load(path: Path, expected: set[str]) -> dict[str, Any]:
         raise InputError(f"{path} is not a checkpoint: {e}") from e
     missing = expected - state.keys()
     if missing:
-        raise InputError(f"{path} is not a checkpoint of this training: it lacks {', '.join(sorted(missing))}")
+        raise InputError(
+            f"{path} is not a checkpoint of this training: it lacks {', '.join(sorted(missing))}"
+        )
     return state
 
 

@@ -81,9 +81,7 @@ class Training:
 
     def advance(self, samples: list[Sample]) -> dict[str, float]:
         """One step of the optimiser; the parts of the loss."""
-        rate = learning_rate(
-            self.config.learning_rate, self.step, self.config.steps, self.config.warmup
-        )
+        rate = learning_rate(self.config.learning_rate, self.step, self.config.steps, self.config.warmup)
         for group in self.optimizer.param_groups:
             group["lr"] = rate * group["factor"]
         if self.step == 0 and not self.warm:
@@ -182,7 +180,9 @@ def same_run(state: dict[str, Any], labels: tuple[str, ...], config: dict[str, A
     ours, theirs = json.loads(json.dumps(config)), json.loads(json.dumps(state["config"]))
     for key, value in ours.items():
         if theirs.get(key) != value:
-            raise InputError(f"{path} was trained with {key} {theirs.get(key)}, not {value}: use another --out")
+            raise InputError(
+                f"{path} was trained with {key} {theirs.get(key)}, not {value}: use another --out"
+            )
 
 
 def exported_weights(path: Path) -> dict[str, Tensor]:

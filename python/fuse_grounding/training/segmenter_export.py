@@ -1,4 +1,4 @@
-"""From trained networks to `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json`. Needs torch and onnx."""
+"""From trained networks to the three files that `EmbeddedSegmenter` reads. Needs torch and onnx."""
 
 from __future__ import annotations
 
@@ -128,7 +128,9 @@ def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
         candidates = segmenter.candidates(np.ascontiguousarray(picture[0]))
         found.append(candidates)
         right.append(correct(candidates, picture, segmenter.labels)[1])
-    first, second, quality = (np.concatenate([getattr(c, k) for c in found]) for k in ("first", "second", "quality"))
+    first, second, quality = (
+        np.concatenate([getattr(c, k) for c in found]) for k in ("first", "second", "quality")
+    )
     truth = np.concatenate(right)
     mixture = fit_mixture(first, second, quality, truth)
     scores, flat = mixed(first, second, quality, mixture).reshape(-1), truth.reshape(-1)
