@@ -3,8 +3,8 @@
 The first finds every object in a picture and says what it may be; the second looks again, at a crop of each
 (`crops.py`), because what tells a fork from a spoon is too small for the first. Together they say how likely
 an object is each of the known labels; prompting by label selects from that, so several labels cost one run.
-Three files belong together: `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json` (labels, input
-size, thresholds, calibration, hashes).
+Files that belong together: `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json` (labels, input size,
+thresholds, calibration, hashes). Weights whose settings name no second network run without it.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class _Settings:
     min_pixels: int
     nms_iou: float
     nms_inside: float
+    sha256: dict[str, str]
 
 
 def _softmax(x: np.ndarray) -> np.ndarray:
@@ -89,8 +90,8 @@ def _read(path: Path) -> bytes:
         raise InputError(f"cannot read the segmenter's weights {path}: {e.strerror}") from e
 
 
-def _read_settings(path: Path, files: dict[str, tuple[Path, bytes]]) -> _Settings:
-    """Checks `segmenter.json` against the weights; InputError names the file and what is wrong."""
+def _read_settings(path: Path) -> _Settings:
+    """Reads `segmenter.json`; InputError names the file and what is wrong."""
     try:
         d = json.loads(path.read_text())
         if d["schema_version"] != SCHEMA_VERSION:
@@ -105,21 +106,15 @@ def _read_settings(path: Path, files: dict[str, tuple[Path, bytes]]) -> _Setting
             min_pixels=int(d["thresholds"]["pixels"]),
             nms_iou=float(d["thresholds"]["nms_iou"]),
             nms_inside=float(d["thresholds"]["nms_inside"]),
+            sha256={"network": str(d["sha256"]["network"])}
+            | {k: str(v) for k, v in d["sha256"].items() if k == "crops"},
         )
-        expected = {name: str(d["sha256"][name]) for name in files}
     except OSError as e:
         raise InputError(f"cannot read the segmenter's settings {path}: {e.strerror}") from e
     except (KeyError, TypeError, ValueError) as e:
         if isinstance(e, InputError):
             raise
         raise InputError(f"{path} is not a segmenter's settings file: {type(e).__name__} {e}") from e
-    for name, (weights_path, weights) in files.items():
-        found = hashlib.sha256(weights).hexdigest()
-        if found != expected[name]:
-            raise InputError(
-                f"{weights_path} is damaged or not the file that {path.name} describes: "
-                f"SHA-256 {found[:12]}… of {len(weights)} bytes, expected {expected[name][:12]}…"
-            )
     return settings
 
 
@@ -139,7 +134,16 @@ def _enlarge(logits: np.ndarray, mask: np.ndarray) -> None:
     mask[top * y_times : bottom * y_times, left * x_times : right * x_times] = part > 0
 
 
-def _session(path: Path, weights: bytes, threads: int) -> onnxruntime.InferenceSession:
+def _session(
+    path: Path, weights: bytes, settings: Path, expected: str, threads: int
+) -> onnxruntime.InferenceSession:
+    """The network that `path` holds, whose hash `settings` says is `expected`."""
+    found = hashlib.sha256(weights).hexdigest()
+    if found != expected:
+        raise InputError(
+            f"{path} is damaged or not the file that {settings.name} describes: "
+            f"SHA-256 {found[:12]}… of {len(weights)} bytes, expected {expected[:12]}…"
+        )
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     # Idle threads must not take the processor from the Gaussian map.
@@ -162,11 +166,14 @@ class EmbeddedSegmenter:
         if not isinstance(threads, int) or threads < 1:
             raise InputError(f"threads must be an integer of at least 1, found {threads!r}")
         weights_path = DEFAULT_PATH if path is None else Path(path)
-        files = {"network": (weights_path, _read(weights_path))}
-        second_path = crops_path(weights_path)
-        files["crops"] = (second_path, _read(second_path))
-        self._settings = _read_settings(weights_path.with_suffix(".json"), files)
-        self._network, self._second = (_session(*file, threads) for file in files.values())
+        weights, described = _read(weights_path), weights_path.with_suffix(".json")
+        self._settings = _read_settings(described)
+        hashes = self._settings.sha256
+        self._network = _session(weights_path, weights, described, hashes["network"], threads)
+        self._second = None
+        if "crops" in hashes:
+            second = crops_path(weights_path)
+            self._second = _session(second, _read(second), described, hashes["crops"], threads)
         self._cache: tuple[bytes, Candidates] | None = None
 
     @property
@@ -246,9 +253,9 @@ class EmbeddedSegmenter:
         )
 
     def _look_again(self, rgb: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        """(N, labels + 1): logits of the second network for the objects under `masks`."""
-        if not len(masks):
-            return np.zeros((0, len(self.labels) + 1), np.float32)
+        """(N, labels + 1): logits of the second network for the objects under `masks`, zeros without one."""
+        if self._second is None or not len(masks):
+            return np.zeros((len(masks), len(self.labels) + 1), np.float32)
         frames = [crops.frame_of(mask) for mask in masks]
         found: np.ndarray = self._second.run(
             None,

@@ -132,6 +132,8 @@ def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
         np.concatenate([getattr(c, k) for c in found]) for k in ("first", "second", "quality")
     )
     truth = np.concatenate(right)
+    if not truth.any():
+        raise InputError(f"{path} finds nothing on the pictures that calibrate it: train it for longer")
     mixture = fit_mixture(first, second, quality, truth)
     scores, flat = mixed(first, second, quality, mixture).reshape(-1), truth.reshape(-1)
     # Nearly all pairs are hopeless; they would fill all knots.
