@@ -32,19 +32,19 @@ MIN_SCORE = 0.05
 GOAL_IOU, GOAL_MS = 0.7, 120.0
 
 
-def rendered(count: int, seed: int) -> Iterator[Picture]:
-    """Randomised pictures of development objects, with the unoccluded pixels of each."""
+def rendered(count: int, seed: int, known: tuple[str, ...]) -> Iterator[Picture]:
+    """Randomised pictures of development objects of known categories, with the unoccluded pixels of each."""
     for shard in range((count + SHARD - 1) // SHARD):
         size = min(SHARD, count - shard * SHARD)
-        yield from _core.randomized_pictures(seed + shard, size, split="dev", amodal=True)
+        for rgb, ids, objects in _core.randomized_pictures(seed + shard, size, split="dev", amodal=True):
+            yield rgb, ids, [o for o in objects if o["category"] in known]
 
 
-def from_episodes(limit: int) -> Iterator[Picture]:
+def from_episodes(limit: int, known: tuple[str, ...]) -> Iterator[Picture]:
     """The shipped development episodes: six ring nodes of each, pitches of 30° and 45°, any visibility.
 
     Things of categories that the network does not know are in the pictures and take no part in the figures.
     """
-    known = set(_core.recognised_categories())
     views = [(k % 6 + 6 * i, pitch) for k in range(6) for i in range(6) for pitch in (1, 2)]
     done = 0
     for k, episode in enumerate(load_episodes("dev")):
@@ -118,9 +118,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     segmenter = EmbeddedSegmenter(arguments.weights, threads=arguments.threads)
-    pictures = list(rendered(arguments.pictures, arguments.seed))
+    pictures = list(rendered(arguments.pictures, arguments.seed, segmenter.labels))
     score = evaluate(segmenter, pictures, MIN_SCORE)
-    episodes = evaluate(segmenter, from_episodes(arguments.episode_pictures), MIN_SCORE)
+    episodes = evaluate(segmenter, from_episodes(arguments.episode_pictures, segmenter.labels), MIN_SCORE)
     scores, right = np.array(score.scores), np.array(score.right)
     result = {
         "pictures": score.pictures,

@@ -3,12 +3,13 @@ import os
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from fuse_grounding import _core
 from fuse_grounding.errors import InputError
-from fuse_grounding.perception import EmbeddedSegmenter, Segmenter
-from fuse_grounding.perception.embedded import DEFAULT_PATH
+from fuse_grounding.perception import EmbeddedSegmenter, Segmenter, crops
+from fuse_grounding.perception.embedded import DEFAULT_PATH, crops_path
 from fuse_grounding.training import segmenter_data as data
 from fuse_grounding.training.segmenter_score import calibration_error, evaluate, isotonic
 
@@ -23,12 +24,16 @@ def segmenter() -> EmbeddedSegmenter:
 @pytest.fixture(scope="module")
 def pictures() -> list[data.Picture]:
     """Objects and surfaces of the development range: the network never saw their like."""
-    return _core.randomized_pictures(77, 16, split="dev", amodal=True)
+    known = EmbeddedSegmenter().labels
+    return [
+        (rgb, ids, [o for o in objects if o["category"] in known])
+        for rgb, ids, objects in _core.randomized_pictures(77, 48, split="dev", amodal=True)
+    ]
 
 
 def test_finds_what_it_never_saw_and_its_scores_mean_something(segmenter, pictures):
     typed: Segmenter = segmenter
-    assert typed.labels == tuple(_core.recognised_categories())
+    assert set(typed.labels) <= {name for name, _ in _core.object_categories()}
     score = evaluate(segmenter, pictures, 0.05)
     plain = score.select(visible=0.8, pixels=1500)
     assert len(plain) >= 40
@@ -104,7 +109,7 @@ def test_damaged_files_are_refused_by_name(tmp_path: Path):
     with pytest.raises(InputError, match=r"copy\.onnx is damaged or not the file that copy\.json describes"):
         EmbeddedSegmenter(copy)
     copy.write_bytes(weights)
-    for broken in (settings[:100], "{}", settings.replace('"schema_version": 1', '"schema_version": 9')):
+    for broken in (settings[:100], "{}", settings.replace('"schema_version": 2', '"schema_version": 1')):
         described.write_text(broken)
         with pytest.raises(InputError, match=r"copy\.json"):
             EmbeddedSegmenter(copy)
@@ -181,8 +186,9 @@ def test_shards_resume_and_refuse_damage(tmp_path: Path):
     data.write_shards(tmp_path, 128, render, 40, lambda _: None)
     data.write_shards(tmp_path, 192, render, 40, lambda _: None)
     assert asked == [40, 41, 42]
-    shards = data.Shards(tmp_path, LABELS)
+    shards = data.Shards(tmp_path, LABELS, 192)
     assert len(shards) == 192
+    assert len(data.Shards(tmp_path, LABELS, 64)) == 64
     assert np.array_equal(shards[64][0], toy(41, 1)[0][0])
     sample = data.make_sample(
         shards[3], shards.category_of_id(shards[3][2]), (128, 96), np.random.default_rng(1)
@@ -191,39 +197,117 @@ def test_shards_resume_and_refuse_damage(tmp_path: Path):
     assert (sample.heat == 1).sum() == len(sample.cells) > 0
     (tmp_path / "shard_00001" / "ids.npy").write_bytes(b"junk")
     with pytest.raises(InputError, match="shard_00001"):
-        data.Shards(tmp_path, LABELS)
+        data.Shards(tmp_path, LABELS, 192)
     with pytest.raises(InputError, match="no rendered shards"):
-        data.Shards(tmp_path / "empty", LABELS)
+        data.Shards(tmp_path / "empty", LABELS, 64)
 
 
-def test_training_learns_resumes_and_exports(tmp_path: Path):
+def test_a_turned_crop_shows_the_object_as_large_as_it_fits_and_its_heavy_end_on_one_side():
+    rgb = np.full((200, 300, 3), 40, np.uint8)
+    hammer = np.zeros((200, 300), bool)
+    hammer[90:96, 60:200] = True
+    hammer[70:116, 200:215] = True
+    rgb[hammer] = (200, 100, 50)
+    seen = []
+    for turn in range(4):
+        mask, picture = np.rot90(hammer, turn), np.ascontiguousarray(np.rot90(rgb, turn))
+        frame = crops.frame_of(mask)
+        seen.append(crops.crop(picture, mask, frame))
+        assert seen[-1].shape == (96, 128, 4)
+        covered = seen[-1][..., 3] > 127
+        # Its area, and colour where its mask is.
+        assert covered.sum() == pytest.approx(hammer.sum() * frame.scale**2, rel=0.06)
+        assert np.abs(seen[-1][covered][:, :3].astype(int).mean(0) - (200, 100, 50)).max() < 12
+        columns = np.nonzero(covered.any(0))[0]
+        assert columns[-1] - columns[0] == pytest.approx(128 / crops.MARGIN, abs=3)
+        assert np.allclose(
+            frame.geometry[[0, 1, 2, 3, 7]], crops.frame_of(hammer).geometry[[0, 1, 2, 3, 7]], atol=1e-5
+        )
+    for other in seen[1:]:
+        assert np.abs(other.astype(int) - seen[0]).mean() < 4
+
+
+def test_a_crop_at_the_edge_and_one_of_a_single_pixel_are_whole():
+    rgb, mask = np.full((48, 64, 3), 200, np.uint8), np.zeros((48, 64), bool)
+    mask[0, 0] = True
+    image = crops.crop(rgb, mask, crops.frame_of(mask))
+    assert image[..., 3].max() > 0
+    # Outside of the picture: grey, no mask.
+    assert tuple(image[0, 0]) == (127, 127, 127, 0)
+    mask[:] = True
+    assert crops.crop(rgb, mask, crops.frame_of(mask))[48, 64, 3] == 255
+
+
+def _networks(steps: int, folder: Path, pictures: data.Shards):
+    from fuse_grounding.training import classifier, loop
+    from fuse_grounding.training import segmenter as training
+
+    config = training.TrainConfig(
+        steps=50, crop=(64, 64), batch=4, part=2, warmup=4, pretrained=False, seed=3
+    )
+    run = training.Training(LABELS, config)
+    loop.train(run, training.batches(pictures, config), steps, folder, "network", lambda _: None)
+    crop_config = classifier.ClassifierConfig(
+        steps=50, batch=8, warmup=4, seed=3, pretrained=False, workers=2
+    )
+    second = classifier.ClassifierTraining(LABELS, crop_config)
+    loop.train(second, classifier.batches(pictures, crop_config), steps, folder, "crops", lambda _: None)
+    return run, second
+
+
+def test_training_learns_resumes_to_the_same_bits_and_exports(tmp_path: Path):
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
-    from fuse_grounding.training import segmenter as training
     from fuse_grounding.training import segmenter_export as export
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     data.write_shards(tmp_path / "data", 64, toy, 0, lambda _: None)
-    config = training.TrainConfig(
-        crop=(64, 64), batch=4, part=2, warmup=4, minutes=5, pretrained=False, seed=3
-    )
-    training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=25)
-    run = training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=50)
-    assert run.step == 50
-    log = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
-    assert [line["step"] for line in log] == [25, 50]
-    assert log[1]["mask"] < 0.8 * log[0]["mask"]
-    assert log[1]["dense"] < log[0]["dense"]
+    pictures = data.Shards(tmp_path / "data", LABELS, 64)
+    _networks(25, tmp_path / "run", pictures)
+    run, second = _networks(50, tmp_path / "run", pictures)
+    assert (run.step, second.step) == (50, 50)
+    whole, whole_second = _networks(50, tmp_path / "whole", pictures)
+    for resumed, uninterrupted in ((run, whole), (second, whole_second)):
+        for k, v in uninterrupted.average.weights.items():
+            assert v.equal(resumed.average.weights[k]), k
+    for name in ("network", "crops"):
+        log = [json.loads(line) for line in (tmp_path / "run" / f"{name}.jsonl").read_text().splitlines()]
+        assert [line["step"] for line in log] == [25, 50]
+        key, share = ("mask", 0.85) if name == "network" else ("loss", 1.0)
+        assert log[1][key] < share * log[0][key]
     path = tmp_path / "toy.onnx"
-    export.write(path, export.to_onnx(run.averaged(), (128, 96)), LABELS, (128, 96), {"steps": run.step})
-    assert path.stat().st_size < 8e6
+    first = export.to_onnx(run.averaged(), (128, 96))
+    export.write(path, first, export.crops_to_onnx(second.averaged()), LABELS, (128, 96), {"steps": run.step})
+    assert path.stat().st_size + crops_path(path).stat().st_size < 15e6
     with pytest.raises(InputError, match="train it for longer"):
         export.calibrate(path, toy(9, 2), "toys")
     found = EmbeddedSegmenter(path).candidates(toy(9, 1)[0][0])
     assert found.masks.shape[1:] == (96, 128)
     assert found.scores.shape == (len(found.masks), 2)
+    # What runs is what was trained, up to half precision.
+    import torch
+
+    from fuse_grounding.training.classifier_data import evaluation_crop
+
+    rgb, ids, objects = toy(11, 1)[0]
+    seen = [evaluation_crop(rgb, ids == o["id"]) for o in objects]
+    image, geometry = np.stack([c[0] for c in seen]), np.stack([c[1] for c in seen])
+    session = onnxruntime.InferenceSession(crops_path(path).read_bytes(), providers=["CPUExecutionProvider"])
+    ran = session.run(None, {"crops": image, "geometry": geometry})[0]
+    with torch.no_grad():
+        meant = second.averaged()(torch.from_numpy(image), torch.from_numpy(geometry)).numpy()
+    assert np.abs(ran - meant).max() < 0.02
+    # Weights of a network that knows fewer labels are a start.
+    from fuse_grounding.training import segmenter as training
+
+    wider = training.Training(("a_box", "new", "a_ball"), run.config)
+    fresh = wider.warm_start(path)
+    assert all(name.startswith("verdict") for name in fresh)
+    assert wider.net.dense_class.weight[2].allclose(run.averaged().dense_class.weight[0], atol=1e-2)
     with pytest.raises(InputError, match="other labels"):
-        training.train(tmp_path / "data", ("b",), tmp_path / "run", config, lambda _: None, steps=60)
-    (tmp_path / "run" / "checkpoint.pt").write_bytes(b"junk")
+        training.same_run(run.state(), ("b",), {}, tmp_path)
+    with pytest.raises(InputError, match=r"trained with steps 50, not 60"):
+        training.same_run(run.state(), LABELS, {"steps": 60}, tmp_path)
+    (tmp_path / "run" / "network.pt").write_bytes(b"junk")
     with pytest.raises(InputError, match="not a checkpoint"):
-        training.train(tmp_path / "data", LABELS, tmp_path / "run", config, lambda _: None, steps=60)
+        _networks(60, tmp_path / "run", pictures)

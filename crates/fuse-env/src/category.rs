@@ -91,21 +91,7 @@ categories! {
     Can "can" "food can" 0.85,
 }
 
-/// How many categories, from the first on, the shipped network tells apart.
-const RECOGNISED: usize = 18;
-
 impl Category {
-    /// The categories that the shipped network tells apart and that training pictures show. A
-    /// retrained network that knows more raises the count; episodes are made of all.
-    pub fn recognised() -> &'static [Self] {
-        &Self::ALL[..RECOGNISED]
-    }
-
-    /// Whether the shipped network tells it apart.
-    pub fn is_recognised(self) -> bool {
-        Self::recognised().contains(&self)
-    }
-
     /// Whether a user's library added it: it has no generator.
     pub const fn is_own(self) -> bool {
         matches!(self, Self::Other(_))

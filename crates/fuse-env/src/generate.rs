@@ -21,6 +21,7 @@ use crate::targets::{self, Subject, TargetStatistics, good_view, statistics};
 use crate::world::{Stage, WorldError};
 
 pub use choose::KIN;
+pub(crate) use lay::settled;
 pub use requests::{Request, requests};
 
 /// Layouts that are tried for one episode; more would only make a hopeless request fail later.

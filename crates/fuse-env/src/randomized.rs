@@ -5,6 +5,7 @@
 //! from families (wood, brick, concrete, cloth, plaster) that the development and evaluation
 //! scenes mix with others; development pictures use only those others.
 
+use std::cell::OnceCell;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -21,7 +22,10 @@ use crate::catalogue::{Category, Split};
 use crate::configuration::{
     Clutter, ClutterStyle, Ellipse, Lighting, Room, SceneConfiguration, Surface, SurfaceKind, Table, TableShape,
 };
+use crate::generate::settled;
 use crate::objects;
+use crate::placement::layout::Thing;
+use crate::placement::solid::Solid;
 use crate::placement::{self, Item, Rest};
 use crate::room;
 
@@ -29,6 +33,10 @@ use crate::room;
 pub const PICTURES_PER_ROOM: usize = 16;
 /// Pictures of one layout of objects.
 const PICTURES_PER_LAYOUT: usize = 4;
+/// Share of the layouts that physics settles; the others lie side by side, which is faster.
+const SETTLED: f64 = 0.5;
+/// Choices of things that are tried before a layout is laid side by side after all.
+const SETTLE_TRIES: usize = 3;
 /// Horizontal field of view of the benchmark's camera.
 const FIELD_OF_VIEW_DEG: f64 = 60.0;
 
@@ -103,11 +111,19 @@ pub fn pictures(seed: u64, count: usize, options: &Options) -> Result<Vec<Pictur
     Ok(rooms.into_iter().flatten().collect())
 }
 
-/// A generated object and how it rests.
-struct Thing {
+/// A generated object, how it rests, and its body once a layout needs it.
+struct Made {
     category: Category,
     model: Arc<Model>,
     rests: Vec<Rest>,
+    solid: OnceCell<Option<Solid>>,
+}
+
+impl Made {
+    fn thing(&self) -> Option<Thing<'_>> {
+        let solid = self.solid.get_or_init(|| Solid::new(&self.model)).as_ref()?;
+        Some(Thing { category: self.category, item: Item { model: &self.model, rests: &self.rests }, solid })
+    }
 }
 
 fn room_pictures(rng: &mut ChaCha8Rng, options: &Options, wanted: usize) -> Result<Vec<Picture>, RandomizedError> {
@@ -148,12 +164,11 @@ fn picture(renderer: &Renderer, camera: &Camera, categories: &[Category], amodal
     Picture { rgb: frame.rgb, ids: frame.instance, objects }
 }
 
-/// One object of every recognised category and a few more, so that each picture holds near-misses.
-fn random_things(rng: &mut ChaCha8Rng, split: Split) -> Vec<Thing> {
-    let known = Category::recognised();
-    let mut categories = known.to_vec();
+/// One object of every category and a few more, so that each picture holds near-misses.
+fn random_things(rng: &mut ChaCha8Rng, split: Split) -> Vec<Made> {
+    let mut categories = Category::ALL.to_vec();
     for _ in 0..6 {
-        categories.push(known[rng.random_range(0..known.len())]);
+        categories.push(Category::ALL[rng.random_range(0..Category::ALL.len())]);
     }
     categories
         .into_iter()
@@ -163,7 +178,7 @@ fn random_things(rng: &mut ChaCha8Rng, split: Split) -> Vec<Thing> {
                 .iter()
                 .map(|pose| Rest { rotation: pose.rotation(), probability: pose.probability })
                 .collect();
-            Some(Thing { category, model: Arc::new(model), rests })
+            Some(Made { category, model: Arc::new(model), rests, solid: OnceCell::new() })
         })
         .collect()
 }
@@ -173,29 +188,65 @@ fn layout(
     rng: &mut ChaCha8Rng,
     scene: &SceneConfiguration,
     furniture: &[Arc<Model>],
-    things: &[Thing],
+    things: &[Made],
 ) -> (Vec<Instance>, Vec<Category>) {
-    let mut order: Vec<&Thing> = things.iter().collect();
-    order.shuffle(rng);
-    order.truncate(rng.random_range(6..=14));
     let surface = placement::Surface::of(scene);
-    let mut instances: Vec<Instance> = furniture
+    let (order, transforms) = if rng.random::<f64>() < SETTLED {
+        settle(rng, &surface, things).unwrap_or_else(|| lay_flat(rng, &surface, things))
+    } else {
+        lay_flat(rng, &surface, things)
+    };
+    let instances = furniture
         .iter()
         .map(|model| Instance { model: Arc::clone(model), transform: glam::Affine3A::IDENTITY, id: 0 })
+        .chain(order.iter().zip(transforms).enumerate().map(|(i, (made, transform))| Instance {
+            model: Arc::clone(&made.model),
+            transform,
+            id: i as u32 + 1,
+        }))
         .collect();
+    (instances, order.iter().map(|made| made.category).collect())
+}
+
+type Laid<'a> = (Vec<&'a Made>, Vec<glam::Affine3A>);
+
+fn choose<'a>(rng: &mut ChaCha8Rng, things: &'a [Made]) -> Vec<&'a Made> {
+    let mut order: Vec<&Made> = things.iter().collect();
+    order.shuffle(rng);
+    order.truncate(rng.random_range(6..=14));
+    order
+}
+
+/// On the table side by side, without physics.
+fn lay_flat<'a>(rng: &mut ChaCha8Rng, surface: &placement::Surface, things: &'a [Made]) -> Laid<'a> {
+    let mut order = choose(rng, things);
     while !order.is_empty() {
         let items: Vec<Item<'_>> = order.iter().map(|t| Item { model: &t.model, rests: &t.rests }).collect();
-        if let Ok(placed) = placement::place(&items, &surface, rng) {
-            instances.extend(order.iter().zip(&placed).enumerate().map(|(i, (thing, at))| Instance {
-                model: Arc::clone(&thing.model),
-                transform: at.transform(),
-                id: i as u32 + 1,
-            }));
-            break;
+        if let Ok(placed) = placement::place(&items, surface, rng) {
+            return (order, placed.iter().map(placement::Placed::transform).collect());
         }
         order.pop();
     }
-    (instances, order.iter().map(|t| t.category).collect())
+    (order, Vec::new())
+}
+
+/// As episodes are laid, in any of the clutter styles; `None` when nothing came to rest in a few tries.
+fn settle<'a>(rng: &mut ChaCha8Rng, surface: &placement::Surface, things: &'a [Made]) -> Option<Laid<'a>> {
+    use ClutterStyle::{InContainers, Leaning, OnTray, Packed, Stacked};
+    let style = [Packed, Stacked, Leaning, InContainers, OnTray][rng.random_range(0..5)];
+    (0..SETTLE_TRIES).find_map(|_| {
+        let order = choose(rng, things);
+        let bodies: Vec<Thing<'_>> = order.iter().map(|made| made.thing()).collect::<Option<_>>()?;
+        let (_, poses) = settled(style, &bodies, surface, rng).ok()?;
+        let transforms = poses.iter().map(|p| {
+            let (q, t) = (p.rotation, p.translation);
+            glam::Affine3A::from_rotation_translation(
+                glam::Quat::from_xyzw(q.x, q.y, q.z, q.w).normalize(),
+                Vec3::new(t.x, t.y, t.z),
+            )
+        });
+        Some((order, transforms.collect()))
+    })
 }
 
 /// Half of the cameras stand on a widened ring, as the benchmark's do; half look at something from anywhere.

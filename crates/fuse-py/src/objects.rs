@@ -203,12 +203,6 @@ fn object_categories() -> Vec<(&'static str, &'static str)> {
     Category::ALL.iter().map(|c| (c.id(), c.label())).collect()
 }
 
-/// Ids of the categories that the shipped network tells apart and that episodes are made of.
-#[pyfunction]
-fn recognised_categories() -> Vec<&'static str> {
-    Category::recognised().iter().map(|c| c.id()).collect()
-}
-
 /// Writes a catalogue of generated objects into a folder: a GLB each and catalogue.json, the
 /// same bytes every time. `categories`: ids, every one when None. Returns the objects' ids.
 #[pyfunction]
@@ -244,7 +238,6 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(unit_metres, module)?)?;
     module.add_function(wrap_pyfunction!(typical_size, module)?)?;
     module.add_function(wrap_pyfunction!(object_categories, module)?)?;
-    module.add_function(wrap_pyfunction!(recognised_categories, module)?)?;
     module.add_function(wrap_pyfunction!(write_objects, module)?)?;
     module.add_function(wrap_pyfunction!(write_object, module)?)
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,7 @@ from rich.console import Console
 from fuse_grounding import _core
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
-from fuse_grounding.perception.embedded import DEFAULT_PATH
+from fuse_grounding.perception.embedded import DEFAULT_PATH, crops_path
 
 app = typer.Typer(help="Make the weights that ship.", no_args_is_help=True)
 
@@ -22,7 +23,7 @@ CALIBRATION_PICTURES = 128
 
 
 def _labels() -> tuple[str, ...]:
-    return tuple(_core.recognised_categories())
+    return tuple(name for name, _ in _core.object_categories())
 
 
 @app.command()
@@ -31,10 +32,12 @@ def segmenter(
     data: Annotated[
         Path | None, typer.Option(help="Folder of rendered pictures; grows, resumes. Default: OUT/pictures.")
     ] = None,
-    render: Annotated[int, typer.Option(min=0, help="Training pictures to have before training.")] = 2560,
-    minutes: Annotated[
-        float, typer.Option(min=0.01, help="Budget of training time, all runs together.")
-    ] = 62.0,
+    render: Annotated[int, typer.Option(min=0, help="Training pictures to have before training.")] = 6400,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps of the first network.")] = 4000,
+    crop_steps: Annotated[int, typer.Option(min=1, help="Training steps of the classifier of crops.")] = 4000,
+    warm: Annotated[
+        Path | None, typer.Option("--from", help="Exported weights to start from, instead of ImageNet's.")
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Training threads.")] = 2,
     seed: Annotated[
         int, typer.Option(min=0, max=CALIBRATION_SEED // 2, help="Seed of pictures and training.")
@@ -55,6 +58,7 @@ def segmenter(
             tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise InputError(f"folder {error.filename} cannot be written: {error.strerror}") from None
+    from fuse_grounding.training import classifier, loop
     from fuse_grounding.training import segmenter as training
     from fuse_grounding.training import segmenter_data as pictures
     from fuse_grounding.training import segmenter_export as export
@@ -62,7 +66,7 @@ def segmenter(
     console = Console(soft_wrap=True, highlight=False, markup=False)
     labels = _labels()
 
-    def have(folder: Path, count: int, base: int) -> None:
+    def have(folder: Path, count: int, base: int) -> pictures.Shards:
         pictures.write_shards(
             folder,
             count,
@@ -70,23 +74,41 @@ def segmenter(
             base,
             lambda done: console.print(f"{folder.name}: {done} pictures"),
         )
+        return pictures.Shards(folder, labels, count)
 
-    have(data / "train", render, seed)
-    have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
-    config = training.TrainConfig(minutes=minutes, workers=workers, seed=seed)
-    run = training.train(data / "train", labels, out, config, console.print)
+    trained = have(data / "train", render, seed)
+    held_out = have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
+    config = training.TrainConfig(steps=steps, workers=workers, seed=seed)
+    run = training.Training(labels, config)
+    if warm is not None:
+        fresh = run.warm_start(warm)
+        console.print(f"{warm}: {len(fresh)} tensors of the network start afresh: {', '.join(fresh)}")
+    loop.train(run, training.batches(trained, config), steps, out, "network", console.print)
+    crop_config = classifier.ClassifierConfig(steps=crop_steps, workers=workers, seed=seed)
+    second = classifier.ClassifierTraining(labels, crop_config)
+    loop.train(second, classifier.batches(trained, crop_config), crop_steps, out, "crops", console.print)
     target = out / DEFAULT_PATH.name
     described = {
+        "seed": seed,
+        "pictures": len(trained),
         "steps": run.step,
         "minutes": round(run.seconds / 60, 1),
-        "batch": config.batch,
-        "seed": seed,
+        "crop_steps": second.step,
+        "crop_minutes": round(second.seconds / 60, 1),
+        "from": None if warm is None else hashlib.sha256(warm.read_bytes()).hexdigest(),
     }
-    export.write(target, export.to_onnx(run.averaged(), (width, height)), labels, (width, height), described)
-    held_out = pictures.Shards(data / "calibration", labels)
+    export.write(
+        target,
+        export.to_onnx(run.averaged(), (width, height)),
+        export.crops_to_onnx(second.averaged()),
+        labels,
+        (width, height),
+        described,
+    )
     pairs = export.calibrate(
         target,
         (held_out[i] for i in range(len(held_out))),
         f"{len(held_out)} pictures of training-range objects with shard seeds from {CALIBRATION_SEED}",
     )
-    console.print(f"{target}: {target.stat().st_size / 1e6:.1f} MB, calibrated on {pairs} pairs")
+    megabytes = sum(p.stat().st_size for p in (target, crops_path(target))) / 1e6
+    console.print(f"{target}: {megabytes:.1f} MB with the second network, calibrated on {pairs} pairs")

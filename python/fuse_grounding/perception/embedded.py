@@ -1,8 +1,10 @@
-"""The segmenter that ships with FUSE: a small network, run by ONNX Runtime on the CPU.
+"""The segmenter that ships with FUSE: two small networks, run by ONNX Runtime on the CPU.
 
-One run of the network finds every object in a picture and says how likely it is each of the known
-labels; prompting by label selects from that, so several labels cost one run. Two files belong together:
-`segmenter.onnx` and `segmenter.json` (labels, input size, thresholds, calibration, hash).
+The first finds every object in a picture and says what it may be; the second looks again, at a crop of each
+(`crops.py`), because what tells a fork from a spoon is too small for the first. Together they say how likely
+an object is each of the known labels; prompting by label selects from that, so several labels cost one run.
+Files that belong together: `segmenter.onnx`, `segmenter_crops.onnx` and `segmenter.json` (labels, input size,
+thresholds, calibration, hashes). Weights whose settings name no second network run without it.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ import numpy as np
 import onnxruntime
 
 from fuse_grounding.errors import InputError
+from fuse_grounding.perception import crops
 from fuse_grounding.perception.protocol import Detection
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 DEFAULT_PATH = Path(__file__).resolve().parent.parent / "weights" / "segmenter.onnx"
 SMALLEST = 32
+# Objects of one picture that are looked at again, best first; there are rarely so many.
+MOST = 24
 
 
 @dataclass(frozen=True)
@@ -30,25 +35,31 @@ class Candidates:
     """Every object found in a picture, before labels are prompted, best first.
 
     `masks` (N, H, W) bool; `scores` (N, labels) in [0, 1]: the calibrated probability that the object is
-    the label and its mask overlaps it by IoU ≥ 0.5; `raw` (N, labels): the same before calibration.
+    the label and its mask overlaps it by IoU ≥ 0.5; `raw` (N, labels): the same before calibration, from
+    `first` and `second` (N, labels + 1), the logits of the two networks (last: none of them), and `quality`
+    (N,), the logit of the mask's being good.
     """
 
     masks: np.ndarray
     scores: np.ndarray
     raw: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    quality: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Settings:
     labels: tuple[str, ...]
     size: tuple[int, int]
-    temperature: float
+    mixture: tuple[float, float]
     knots: tuple[np.ndarray, np.ndarray]
     min_heat: float
     min_score: float
     min_pixels: int
     nms_iou: float
     nms_inside: float
+    sha256: dict[str, str]
 
 
 def _softmax(x: np.ndarray) -> np.ndarray:
@@ -60,8 +71,27 @@ def _sigmoid(x: np.ndarray) -> np.ndarray:
     return 1.0 / (1.0 + np.exp(-np.clip(x, -30.0, 30.0)))
 
 
-def _read_settings(path: Path, weights: bytes, weights_path: Path) -> _Settings:
-    """Checks `segmenter.json` against its weights; InputError names the file and what is wrong."""
+def mixed(
+    first: np.ndarray, second: np.ndarray, quality: np.ndarray, mixture: tuple[float, float]
+) -> np.ndarray:
+    """(N, labels): what both networks say together, their logits weighted by `mixture`, times the quality."""
+    return _softmax(mixture[0] * first + mixture[1] * second)[:, :-1] * _sigmoid(quality)[:, None]
+
+
+def crops_path(weights: Path) -> Path:
+    """Where the second network lies, beside the first."""
+    return weights.with_name(weights.stem + "_crops.onnx")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as e:
+        raise InputError(f"cannot read the segmenter's weights {path}: {e.strerror}") from e
+
+
+def _read_settings(path: Path) -> _Settings:
+    """Reads `segmenter.json`; InputError names the file and what is wrong."""
     try:
         d = json.loads(path.read_text())
         if d["schema_version"] != SCHEMA_VERSION:
@@ -69,27 +99,22 @@ def _read_settings(path: Path, weights: bytes, weights_path: Path) -> _Settings:
         settings = _Settings(
             labels=tuple(str(label) for label in d["labels"]),
             size=(int(d["input"]["width"]), int(d["input"]["height"])),
-            temperature=float(d["temperature"]),
+            mixture=(float(d["mixture"][0]), float(d["mixture"][1])),
             knots=(np.asarray(d["calibration"]["raw"], float), np.asarray(d["calibration"]["score"], float)),
             min_heat=float(d["thresholds"]["heat"]),
             min_score=float(d["thresholds"]["score"]),
             min_pixels=int(d["thresholds"]["pixels"]),
             nms_iou=float(d["thresholds"]["nms_iou"]),
             nms_inside=float(d["thresholds"]["nms_inside"]),
+            sha256={"network": str(d["sha256"]["network"])}
+            | {k: str(v) for k, v in d["sha256"].items() if k == "crops"},
         )
-        expected = str(d["sha256"])
     except OSError as e:
         raise InputError(f"cannot read the segmenter's settings {path}: {e.strerror}") from e
     except (KeyError, TypeError, ValueError) as e:
         if isinstance(e, InputError):
             raise
         raise InputError(f"{path} is not a segmenter's settings file: {type(e).__name__} {e}") from e
-    found = hashlib.sha256(weights).hexdigest()
-    if found != expected:
-        raise InputError(
-            f"{weights_path} is damaged or not the file that {path.name} describes: "
-            f"SHA-256 {found[:12]}… of {len(weights)} bytes, expected {expected[:12]}…"
-        )
     return settings
 
 
@@ -109,31 +134,46 @@ def _enlarge(logits: np.ndarray, mask: np.ndarray) -> None:
     mask[top * y_times : bottom * y_times, left * x_times : right * x_times] = part > 0
 
 
+def _session(
+    path: Path, weights: bytes, settings: Path, expected: str, threads: int
+) -> onnxruntime.InferenceSession:
+    """The network that `path` holds, whose hash `settings` says is `expected`."""
+    found = hashlib.sha256(weights).hexdigest()
+    if found != expected:
+        raise InputError(
+            f"{path} is damaged or not the file that {settings.name} describes: "
+            f"SHA-256 {found[:12]}… of {len(weights)} bytes, expected {expected[:12]}…"
+        )
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    # Idle threads must not take the processor from the Gaussian map.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
+    except Exception as e:
+        raise InputError(f"{path} is not a usable ONNX file: {e}") from e
+
+
 class EmbeddedSegmenter:
     """Instances of prompted labels by the shipped network; implements `Segmenter`.
 
-    `path`: an ONNX file with its JSON file beside it; the shipped one when None. Raises InputError for
-    files that are missing, damaged or do not belong together.
+    `path`: an ONNX file with the second network and the JSON file beside it; the shipped one when None.
+    Raises InputError for files that are missing, damaged or do not belong together.
     """
 
     def __init__(self, path: str | Path | None = None, threads: int = 2) -> None:
         if not isinstance(threads, int) or threads < 1:
             raise InputError(f"threads must be an integer of at least 1, found {threads!r}")
         weights_path = DEFAULT_PATH if path is None else Path(path)
-        try:
-            weights = weights_path.read_bytes()
-        except OSError as e:
-            raise InputError(f"cannot read the segmenter's weights {weights_path}: {e.strerror}") from e
-        self._settings = _read_settings(weights_path.with_suffix(".json"), weights, weights_path)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        # Idle threads must not take the processor from the Gaussian map.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
-        except Exception as e:
-            raise InputError(f"{weights_path} is not a usable ONNX file: {e}") from e
+        weights, described = _read(weights_path), weights_path.with_suffix(".json")
+        self._settings = _read_settings(described)
+        hashes = self._settings.sha256
+        self._network = _session(weights_path, weights, described, hashes["network"], threads)
+        self._second = None
+        if "crops" in hashes:
+            second = crops_path(weights_path)
+            self._second = _session(second, _read(second), described, hashes["crops"], threads)
         self._cache: tuple[bytes, Candidates] | None = None
 
     @property
@@ -190,21 +230,41 @@ class EmbeddedSegmenter:
         picture = np.full((s.size[1], s.size[0], 3), 127, np.uint8)
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         picture[: inner[1], : inner[0]] = cv2.resize(rgb, inner, interpolation=how)
-        heat, verdict, logits = self._session.run(None, {"image": picture[None]})
+        heat, verdict, logits = self._network.run(None, {"image": picture[None]})
         logits = logits[:, : max(1, inner[1] // 2), : max(1, inner[0] // 2)]
         inside = logits > 0
         area = np.count_nonzero(inside, axis=(1, 2))
         sound = np.nonzero((heat >= s.min_heat) & (area * 4 >= s.min_pixels * scale**2))[0]
-        raw = _softmax(verdict[sound, :-1] / s.temperature)[:, :-1] * _sigmoid(verdict[sound, -1:])
-        order = np.argsort(-raw.max(1, initial=0.0), kind="stable")
-        kept = self._suppress(inside[sound[order]])
-        chosen = order[kept]
-        masks = np.zeros((len(kept), height, width), bool)
-        for i, k in enumerate(sound[chosen]):
+        likely = (1.0 - _softmax(verdict[sound, :-1])[:, -1]) * _sigmoid(verdict[sound, -1])
+        order = np.argsort(-likely, kind="stable")
+        chosen = sound[order[self._suppress(inside[sound[order]])]][:MOST]
+        masks = np.zeros((len(chosen), height, width), bool)
+        for i, k in enumerate(chosen):
             _enlarge(logits[k], masks[i])
+        first, quality = verdict[chosen, :-1], verdict[chosen, -1]
+        second = self._look_again(rgb, masks)
+        raw = mixed(first, second, quality, s.mixture)
+        best = np.argsort(-raw.max(1, initial=0.0), kind="stable")
+        masks = masks[best]
         # Detections share these.
         masks.setflags(write=False)
-        return Candidates(masks, np.interp(raw[chosen], *s.knots), raw[chosen])
+        return Candidates(
+            masks, np.interp(raw[best], *s.knots), raw[best], first[best], second[best], quality[best]
+        )
+
+    def _look_again(self, rgb: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        """(N, labels + 1): logits of the second network for the objects under `masks`, zeros without one."""
+        if self._second is None or not len(masks):
+            return np.zeros((len(masks), len(self.labels) + 1), np.float32)
+        frames = [crops.frame_of(mask) for mask in masks]
+        found: np.ndarray = self._second.run(
+            None,
+            {
+                "crops": np.stack([crops.crop(rgb, m, f) for m, f in zip(masks, frames, strict=True)]),
+                "geometry": np.stack([f.geometry for f in frames]),
+            },
+        )[0]
+        return found
 
     def _suppress(self, masks: np.ndarray) -> list[int]:
         """Positions of the masks (best first) that are not a better one's double or a part of it."""

@@ -55,21 +55,12 @@ def write_shards(
 
 
 class Shards:
-    """Pictures of a rendered folder, mapped into memory; `refresh` takes up shards written since."""
+    """The first `count` pictures of a rendered folder, mapped into memory; whole shards."""
 
-    def __init__(self, folder: Path, labels: tuple[str, ...]) -> None:
+    def __init__(self, folder: Path, labels: tuple[str, ...], count: int) -> None:
         self.folder, self.labels = folder, labels
         self._shards: list[tuple[np.ndarray, np.ndarray, list[list[dict]]]] = []
-        self._known: set[str] = set()
-        self.refresh()
-        if not self._shards:
-            raise InputError(f"{folder} holds no rendered shards (shard_*/rgb.npy)")
-
-    def refresh(self) -> None:
-        """Looks for new shards, in the order of their numbers."""
-        for path in sorted(self.folder.glob("shard_*")):
-            if path.name in self._known:
-                continue
+        for path in sorted(folder.glob("shard_*"))[: (count + SHARD - 1) // SHARD]:
             try:
                 rgb = np.load(path / "rgb.npy", mmap_mode="r")
                 ids = np.load(path / "ids.npy", mmap_mode="r")
@@ -77,7 +68,8 @@ class Shards:
             except (OSError, ValueError, KeyError) as e:
                 raise InputError(f"{path} is not a sound shard: {e}") from e
             self._shards.append((rgb, ids, pictures))
-            self._known.add(path.name)
+        if not self._shards:
+            raise InputError(f"{folder} holds no rendered shards (shard_*/rgb.npy)")
 
     def __len__(self) -> int:
         return sum(len(s[2]) for s in self._shards)

@@ -1,4 +1,4 @@
-"""From a trained network to `segmenter.onnx` and `segmenter.json`. Needs torch and onnx."""
+"""From trained networks to the three files that `EmbeddedSegmenter` reads. Needs torch and onnx."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from fuse_grounding.errors import InputError
-from fuse_grounding.perception.embedded import SCHEMA_VERSION, EmbeddedSegmenter
+from fuse_grounding.perception import crops
+from fuse_grounding.perception.embedded import SCHEMA_VERSION, EmbeddedSegmenter, crops_path, mixed
+from fuse_grounding.training.classifier_model import CropNet
 from fuse_grounding.training.segmenter_data import Picture
 from fuse_grounding.training.segmenter_model import Exported, SegmenterNet
 from fuse_grounding.training.segmenter_score import correct, isotonic
@@ -29,25 +31,45 @@ MIN_SCORE = 0.05
 
 
 def to_onnx(net: SegmenterNet, size: tuple[int, int]) -> bytes:
-    """The whole network for pictures of `size` (width, height), weights stored as float16."""
+    """The whole first network for pictures of `size` (width, height), weights stored as float16."""
     model = Exported(net, CANDIDATES, MIN_HEAT).eval()
     example = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+    return _exported(model, (example,), ["image"], ["heat", "verdict", "masks"], {})
+
+
+def crops_to_onnx(net: CropNet) -> bytes:
+    """The second network, for any number of crops."""
+    example = torch.zeros((2, crops.SIZE[1], crops.SIZE[0], 4), dtype=torch.uint8)
+    names = ["crops", "geometry"]
+    free = {name: {0: "objects"} for name in (*names, "logits")}
+    return _exported(net.eval(), (example, torch.zeros(2, crops.GEOMETRY)), names, ["logits"], free)
+
+
+def _exported(
+    model: torch.nn.Module,
+    example: tuple[torch.Tensor, ...],
+    inputs: list[str],
+    outputs: list[str],
+    free: dict[str, dict[int, str]],
+) -> bytes:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
         exported = Path(folder) / "network.onnx"
         warnings.simplefilter("ignore")
         torch.onnx.export(
             model,
-            (example,),
+            example,
             exported,
             opset_version=OPSET,
-            input_names=["image"],
-            output_names=["heat", "verdict", "masks"],
+            input_names=inputs,
+            output_names=outputs,
+            dynamic_axes=free,
             dynamo=False,
         )
         graph = onnx.load(exported)
     _halve(graph.graph)
     onnx.checker.check_model(graph)
-    return graph.SerializeToString()
+    serialized: bytes = graph.SerializeToString()
+    return serialized
 
 
 def _halve(graph: onnx.GraphProto) -> None:
@@ -67,47 +89,81 @@ def _halve(graph: onnx.GraphProto) -> None:
     graph.node.extend(nodes)
 
 
-def write(path: Path, weights: bytes, labels: tuple[str, ...], size: tuple[int, int], training: dict) -> None:
-    """Writes `path` (.onnx) and its .json with identity calibration; `calibrate` fills that in."""
+def write(
+    path: Path,
+    weights: bytes,
+    second: bytes,
+    labels: tuple[str, ...],
+    size: tuple[int, int],
+    training: dict,
+) -> None:
+    """Writes `path` (.onnx), the second network and the .json; `calibrate` fills its calibration in."""
     settings = {
         "schema_version": SCHEMA_VERSION,
         "labels": list(labels),
         "input": {"width": size[0], "height": size[1]},
-        "sha256": hashlib.sha256(weights).hexdigest(),
-        "temperature": 1.0,
+        "sha256": {
+            "network": hashlib.sha256(weights).hexdigest(),
+            "crops": hashlib.sha256(second).hexdigest(),
+        },
+        "mixture": [0.5, 0.5],
         "calibration": {"raw": [0.0, 1.0], "score": [0.0, 1.0]},
         "thresholds": {"heat": MIN_HEAT, "score": MIN_SCORE, "pixels": 60, "nms_iou": 0.5, "nms_inside": 0.8},
         "training": training,
     }
     _replace(path, weights)
+    _replace(crops_path(path), second)
     _replace(path.with_suffix(".json"), (json.dumps(settings, indent=1) + "\n").encode())
 
 
 def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
-    """Fits the map from raw scores to the probability of being right, on pictures not trained on.
+    """Fits how both networks are mixed, and the map from raw scores to the probability of being right, on
+    pictures not trained on.
 
-    Returns the number of (object, label) pairs that it was fitted to.
+    Returns the number of (object, label) pairs that the map was fitted to.
     """
     segmenter = EmbeddedSegmenter(path)
-    raw, right = [], []
+    found, right = [], []
     for picture in pictures:
-        found = segmenter.candidates(np.ascontiguousarray(picture[0]))
-        _, correct_label, _ = correct(found, picture, segmenter.labels)
-        raw.append(found.raw.reshape(-1))
-        right.append(correct_label.reshape(-1))
-    scores, truth = np.concatenate(raw), np.concatenate(right)
+        candidates = segmenter.candidates(np.ascontiguousarray(picture[0]))
+        found.append(candidates)
+        right.append(correct(candidates, picture, segmenter.labels)[1])
+    first, second, quality = (
+        np.concatenate([getattr(c, k) for c in found]) for k in ("first", "second", "quality")
+    )
+    truth = np.concatenate(right)
+    if not truth.any():
+        raise InputError(f"{path} finds nothing on the pictures that calibrate it: train it for longer")
+    mixture = fit_mixture(first, second, quality, truth)
+    scores, flat = mixed(first, second, quality, mixture).reshape(-1), truth.reshape(-1)
     # Nearly all pairs are hopeless; they would fill all knots.
     likely = scores > 0.005
     if likely.sum() < 20:
         raise InputError(
             f"{path} finds next to nothing on the pictures that calibrate it: train it for longer"
         )
-    x, y = isotonic(scores[likely], truth[likely])
+    x, y = isotonic(scores[likely], flat[likely])
     settings_path = path.with_suffix(".json")
     settings = json.loads(settings_path.read_text())
+    settings["mixture"] = list(mixture)
     settings["calibration"] = {"raw": x, "score": y, "fitted_on": described, "pairs": int(likely.sum())}
     _replace(settings_path, (json.dumps(settings, indent=1) + "\n").encode())
     return int(likely.sum())
+
+
+def fit_mixture(
+    first: np.ndarray, second: np.ndarray, quality: np.ndarray, right: np.ndarray
+) -> tuple[float, float]:
+    """Weights of the two networks' logits for which the right labels (N, labels) are the least surprise."""
+    some = right.any(1)
+    truth = right[some].argmax(1)
+    grid = np.round(np.arange(0.0, 1.55, 0.05), 2)
+
+    def surprise(a: float, b: float) -> float:
+        p = mixed(first[some], second[some], quality[some] * 0 + 30.0, (a, b))
+        return -float(np.log(np.maximum(p[np.arange(len(truth)), truth], 1e-9)).mean())
+
+    return min(((float(a), float(b)) for a in grid for b in grid if a + b > 0), key=lambda m: surprise(*m))
 
 
 def _replace(path: Path, content: bytes) -> None:

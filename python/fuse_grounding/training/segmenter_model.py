@@ -68,21 +68,18 @@ class Block(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) → (B, C', H / stride, W / stride)."""
         y = x if self.expand is None else _relu6(self.expand(x))
-        # bfloat16 speeds up dense convolutions on a CPU and slows down depthwise ones.
-        with torch.autocast("cpu", enabled=False):
-            y = _relu6(self.depthwise(y.float()))
-        y = self.project(y)
+        y = self.project(_relu6(self.depthwise(y)))
         return x + y if self.residual else y
 
 
 class Backbone(nn.Module):
-    """Features at strides 2, 4, 8, 16 and 32 with 16, 24, 40, 112 and 320 channels."""
+    """Features at strides 2, 4, 8, 16 and 32 with 16, 24, 40, 112 and 320 channels; `most`: blocks kept."""
 
     channels = (16, 24, 40, 112, 320)
     # Blocks up to stride 4 stay as ImageNet left them.
     FROZEN_BLOCKS = 3
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = 16) -> None:
         super().__init__()
         self.stem = SameConv(3, 32, 3, 2, 1)
         blocks, inputs = [], 32
@@ -93,7 +90,16 @@ class Backbone(nn.Module):
                 inputs = outputs
             if outputs in self.channels:
                 self.taps.append(len(blocks) - 1)
-        self.blocks = nn.ModuleList(blocks)
+        self.blocks = nn.ModuleList(blocks[:most])
+
+    def freeze(self) -> None:
+        """Keeps what transfers from photographs as it is: the first blocks and every depthwise kernel,
+        whose gradient would be a third of a training step.
+        """
+        for module in (self.stem, *self.blocks[: self.FROZEN_BLOCKS]):
+            module.requires_grad_(False)
+        for block in self.blocks:
+            block.depthwise.requires_grad_(False)
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """(B, 3, H, W) of (value - 127) / 128 → five feature maps, finest first."""
@@ -184,11 +190,7 @@ class SegmenterNet(nn.Module):
         nn.init.normal_(self.kernels.weight, std=0.01)
         assert self.heat.bias is not None
         nn.init.constant_(self.heat.bias, -4.0)
-        for module in (self.backbone.stem, *self.backbone.blocks[: Backbone.FROZEN_BLOCKS]):
-            module.requires_grad_(False)
-        # Depthwise kernels transfer as they are, and their gradient is a third of a training step.
-        for block in self.backbone.blocks:
-            block.depthwise.requires_grad_(False)
+        self.backbone.freeze()
 
     def forward(self, x: Tensor) -> Dense:
         """(B, 3, H, W) of (value - 127) / 128, H and W multiples of 32."""

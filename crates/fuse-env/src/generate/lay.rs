@@ -64,7 +64,7 @@ fn with_things<T>(
 }
 
 /// What was proposed and the poses in which the things came to rest, or why they are of no use.
-fn settled(
+pub(crate) fn settled(
     style: ClutterStyle,
     things: &[Thing<'_>],
     surface: &Surface,
