@@ -18,11 +18,11 @@ import numpy as np
 import onnxruntime
 
 from fuse_grounding.errors import InputError
+from fuse_grounding.perception.prompts import check_labels, check_picture
 from fuse_grounding.perception.protocol import Detection
 
 SCHEMA_VERSION = 1
 DEFAULT_PATH = Path(__file__).resolve().parent.parent / "weights" / "segmenter.onnx"
-SMALLEST = 32
 
 
 @dataclass(frozen=True)
@@ -145,20 +145,14 @@ class EmbeddedSegmenter:
         """Instances of `labels` in `rgb` (H, W, 3) uint8, best score first.
 
         An object of which the network is unsure is returned for several labels, each with its own score;
-        scores below the threshold of the settings are left out. Masks are read-only. Raises InputError for
-        an unknown label and for a picture of the wrong shape or dtype.
+        scores below the threshold of the settings are left out. Masks are read-only. Raises
+        UnknownLabelError, and InputError for a picture of the wrong shape or dtype.
         """
         known = self._settings.labels
-        if isinstance(labels, str):
-            raise InputError(f"labels must be a sequence of labels, found the string `{labels}`")
-        for label in labels:
-            if label not in known:
-                raise InputError(
-                    f"the segmenter does not know the label `{label}`; it knows: {', '.join(known)}"
-                )
+        wanted = check_labels(labels, known)
         found = self.candidates(rgb)
         detections = []
-        for label in dict.fromkeys(labels):
+        for label in wanted:
             column = found.scores[:, known.index(label)]
             for i in np.nonzero(column >= self._settings.min_score)[0]:
                 detections.append(Detection(label, float(column[i]), found.masks[i]))
@@ -167,16 +161,7 @@ class EmbeddedSegmenter:
 
     def candidates(self, rgb: np.ndarray) -> Candidates:
         """Every object of `rgb` (H, W, 3) uint8, whatever it is; the last picture's are remembered."""
-        if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-            found = (
-                f"{rgb.dtype} array of shape {rgb.shape}"
-                if isinstance(rgb, np.ndarray)
-                else type(rgb).__name__
-            )
-            raise InputError(f"rgb must be a (H, W, 3) uint8 array, found {found}")
-        if min(rgb.shape[:2]) < SMALLEST:
-            raise InputError(f"rgb must be at least {SMALLEST} pixels wide and high, found shape {rgb.shape}")
-        rgb = np.ascontiguousarray(rgb)
+        rgb = check_picture(rgb)
         key = hashlib.blake2b(rgb.tobytes(), key=str(rgb.shape).encode()).digest()
         if self._cache is None or self._cache[0] != key:
             self._cache = (key, self._find(rgb))
