@@ -23,19 +23,20 @@ PACKAGE = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report; `hint` says what to do when it is not `ok`."""
+    """One line of the report; `hint` says what to do when it is not `ok`; some things are not `needed`."""
 
     name: str
     ok: bool
     found: str
     hint: str = ""
+    needed: bool = True
 
 
 def _package(name: str, hint: str = "", required: bool = True) -> Check:
     try:
         return Check(name, True, metadata.version(name))
     except metadata.PackageNotFoundError:
-        return Check(name, not required, "not installed", hint or f"pip install {name}")
+        return Check(name, False, "not installed", hint or f"pip install {name}", needed=required)
 
 
 def _shipped(name: str, path: Path) -> Check:
@@ -73,46 +74,56 @@ def _gpu() -> Check:
         return Check("gpu", True, f"{error}; maps are trained on {auto}")
 
 
+def installed(package: str) -> bool:
+    """Whether a package can be imported."""
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ValueError:  # kept from being imported
+        return False
+
+
 def _doors(kind: str, doors: Registry[Any], chosen: Any) -> list[Check]:
-    """One line for each segmenter or encoder; none has to be usable but the one that is chosen."""
-    checks = []
-    for name in doors.names():
-        door, configured = doors.get(name), chosen.name == name
-        ways, missing = [], []
-        for route in door.routes:
-            absent = [package for package in route.packages if importlib.util.find_spec(package) is None]
-            if absent:
-                missing.append(f"{route.name}: {', '.join(absent)} missing (pip install 'fuse-grounding[{route.extra}]')")
-            else:
-                ways.append(route.name)
-        usable = f"through {' and '.join(ways)}" if ways else ""
-        found = "; ".join(filter(None, [usable, *missing])) or "usable"
-        ok, hint = bool(ways) or not door.routes, "install one of the extras"
-        if configured and (chosen.weights is not None or not door.routes):
-            try:
-                files = door.files(chosen)
-                found += "" if not files else f"; weights: {len(files)} file(s) in {files[0].parent}"
-            except InputError as error:
-                ok, found, hint = False, f"{found}; {error}", "name another folder: --weights"
-        elif door.routes:
-            found += "; no checkpoint folder named (--weights, with --segmenter)"
-            ok = ok and not configured
-        checks.append(Check(f"{kind} {name}", ok or not configured, found, hint))
-    return checks
+    """A line for each segmenter or encoder of ours. Only the chosen one is needed."""
+    return [
+        _door(kind, name, doors.get(name), chosen if chosen.name == name else None) for name in doors.names()
+    ]
+
+
+def _door(kind: str, name: str, door: Any, chosen: Any | None) -> Check:
+    title = f"{kind} {name}"
+    absent = {
+        route: [package for package in route.packages if not installed(package)]
+        for route in door.routes
+    }
+    if absent and all(absent.values()):
+        found = "; ".join(f"{route.name} needs {', '.join(names)}" for route, names in absent.items())
+        extras = " or ".join(f"'fuse-grounding[{route.extra}]'" for route in absent)
+        return Check(title, False, found, f"pip install {extras}", needed=chosen is not None)
+    ways = " or ".join(route.name for route, names in absent.items() if not names)
+    through = f"through {ways}, " if ways else ""
+    if chosen is None and door.routes:
+        hint = f"name its folder: --weights or --set {kind}.weights=DIR"
+        return Check(title, False, f"{through}no checkpoint folder is named", hint, needed=False)
+    try:
+        files = door.files(chosen or door.defaults)
+    except InputError as error:
+        return Check(title, False, f"{through}{error}", "docs/models/doors.md says what belongs in the folder")
+    return Check(title, True, f"{through}{len(files)} file(s)" if files else "needs nothing")
 
 
 def _own(kind: str, group: str, doors: Registry[Any], chosen: Any) -> list[Check]:
     """A line for each entry point, and for the class that is chosen."""
-    names = {f"{kind} {name}": value for name, value in entry_points(group).items()}
+    theirs = entry_points(group)
     if chosen.name not in doors.names():
-        names.setdefault(f"{kind} {chosen.name}", chosen.name)
+        theirs.setdefault(chosen.name, chosen.name)
     checks = []
-    for name, value in names.items():
+    for name, value in theirs.items():
         try:
             load(kind, value)
-            checks.append(Check(name, True, f"{value} can be loaded"))
+            checks.append(Check(f"{kind} {name}", True, f"{value} can be loaded"))
         except InputError as error:
-            checks.append(Check(name, False, f"{error}", "docs/models/doors.md"))
+            hint = "docs/models/doors.md has an example"
+            checks.append(Check(f"{kind} {name}", False, f"{error}", hint, needed=name == chosen.name))
     return checks
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from fuse_grounding.cli.run import Segmenter, Weights, configure
@@ -35,7 +36,8 @@ def command(
     else:
         table = Table(box=None, show_header=False, padding=(0, 2))
         for c in checks:
-            table.add_row("ok" if c.ok else "[red]missing[/red]", c.name, c.found, "" if c.ok else c.hint)
+            state = "ok" if c.ok else "[red]missing[/red]" if c.needed else "-"
+            table.add_row(state, c.name, escape(c.found), "" if c.ok else escape(c.hint))
         Console().print(table)
-    if not all(c.ok for c in checks):
+    if not all(c.ok or not c.needed for c in checks):
         raise typer.Exit(1)

@@ -23,12 +23,13 @@ IMAGE, TEXT, TOKENIZER = "image.onnx", "text.onnx", "tokenizer.json"
 
 
 def files(root: Path) -> list[Path]:
-    """The files of a folder that decide results. Raises InputError naming the missing one."""
+    """The files of a folder that decide results, tensors beside the networks too. Raises InputError."""
     for name in (IMAGE, TEXT, TOKENIZER):
         if not (root / name).is_file():
             raise InputError(f"checkpoint file {root / name} is missing: CLIP in ONNX is {IMAGE}, {TEXT}, {TOKENIZER}")
     beside = root / "preprocessor_config.json"
-    return [root / IMAGE, root / TEXT, root / TOKENIZER, *([beside] if beside.is_file() else [])]
+    networks = [path for name in (IMAGE, TEXT) for path in sorted(root.glob(f"{name}*"))]
+    return [*networks, root / TOKENIZER, *([beside] if beside.is_file() else [])]
 
 
 class OnnxClipEncoder:

@@ -49,9 +49,13 @@ class Route:
 
 @dataclass(frozen=True)
 class Door(Generic[C, T]):
-    """A part that has a name. `files` finds the files of its checkpoint, quickly, or raises InputError; `open`
-    makes the part; `routes` are the ways to run it, none where nothing has to be installed."""
+    """A part that has a name.
 
+    `defaults` are its settings; `files` finds the files of its checkpoint, quickly, or raises InputError;
+    `open` makes the part; `routes` are the ways to run it, none where nothing has to be installed or named.
+    """
+
+    defaults: C
     files: Callable[[C], tuple[Path, ...]]
     open: Callable[[C], Opened[T]]
     routes: tuple[Route, ...] = ()
@@ -107,7 +111,10 @@ def _opened_own(part: T, made: object, weights: Path | None) -> Opened[T]:
 
 
 def _embedded_file(config: SegmenterConfig) -> tuple[Path, ...]:
-    return (config.weights or DEFAULT_PATH,)
+    path = config.weights or DEFAULT_PATH
+    if not path.is_file():
+        raise InputError(f"the segmenter's weights {path} are no file")
+    return (path,)
 
 
 def _embedded(config: SegmenterConfig) -> Opened[Segmenter]:
@@ -163,17 +170,34 @@ _CLIP_ROUTES = (
     Route("ONNX Runtime", clip_onnx.PACKAGES, "clip-onnx"),
 )
 
-SEGMENTERS.add("embedded", Door(_embedded_file, _embedded))
+SEGMENTERS.add("embedded", Door(SegmenterConfig(), _embedded_file, _embedded))
 SEGMENTERS.add(
-    "sam3", Door(lambda c: tuple(sam3.files(c.weights)), _sam3, (Route("transformers", sam3.PACKAGES, "sam3"),))
+    "sam3",
+    Door(
+        SegmenterConfig(name="sam3"),
+        lambda c: tuple(sam3.files(c.weights)),
+        _sam3,
+        (Route("transformers", sam3.PACKAGES, "sam3"),),
+    ),
 )
 SEGMENTERS.add(
     "clip_patches",
     Door(
-        lambda c: _clip_files(c.weights, "segmenter", "segmenter `clip_patches`"), _clip_patches, _CLIP_ROUTES
+        SegmenterConfig(name="clip_patches"),
+        lambda c: _clip_files(c.weights, "segmenter", "segmenter `clip_patches`"),
+        _clip_patches,
+        _CLIP_ROUTES,
     ),
 )
-ENCODERS.add("lexical", Door(lambda c: (), lambda c: Opened(Lexical(), (), (), "cpu")))
 ENCODERS.add(
-    "clip", Door(lambda c: _clip_files(c.weights, "encoder", "encoder `clip`"), _clip_encoder, _CLIP_ROUTES)
+    "lexical", Door(EncoderConfig(), lambda c: (), lambda c: Opened(Lexical(), (), (), "cpu"))
+)
+ENCODERS.add(
+    "clip",
+    Door(
+        EncoderConfig(name="clip"),
+        lambda c: _clip_files(c.weights, "encoder", "encoder `clip`"),
+        _clip_encoder,
+        _CLIP_ROUTES,
+    ),
 )

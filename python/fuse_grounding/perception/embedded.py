@@ -15,14 +15,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from fuse_grounding.errors import InputError
+from fuse_grounding.perception import onnx
 from fuse_grounding.perception.prompts import check_labels, check_picture
 from fuse_grounding.perception.protocol import Detection
 
 SCHEMA_VERSION = 1
 DEFAULT_PATH = Path(__file__).resolve().parent.parent / "weights" / "segmenter.onnx"
+_INPUT, _OUTPUTS = "image", ("heat", "verdict", "masks")
 
 
 @dataclass(frozen=True)
@@ -125,15 +126,7 @@ class EmbeddedSegmenter:
         except OSError as e:
             raise InputError(f"cannot read the segmenter's weights {weights_path}: {e.strerror}") from e
         self._settings = _read_settings(weights_path.with_suffix(".json"), weights, weights_path)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        # Idle threads must not take the processor from the Gaussian map.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
-        except Exception as e:
-            raise InputError(f"{weights_path} is not a usable ONNX file: {e}") from e
+        self._session = onnx.session(weights_path, [_INPUT], _OUTPUTS, threads, weights)
         self._cache: tuple[bytes, Candidates] | None = None
 
     @property
@@ -175,7 +168,7 @@ class EmbeddedSegmenter:
         picture = np.full((s.size[1], s.size[0], 3), 127, np.uint8)
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         picture[: inner[1], : inner[0]] = cv2.resize(rgb, inner, interpolation=how)
-        heat, verdict, logits = self._session.run(None, {"image": picture[None]})
+        heat, verdict, logits = self._session.run(_OUTPUTS, {_INPUT: picture[None]})
         logits = logits[:, : max(1, inner[1] // 2), : max(1, inner[0] // 2)]
         inside = logits > 0
         area = np.count_nonzero(inside, axis=(1, 2))

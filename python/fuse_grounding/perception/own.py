@@ -28,8 +28,8 @@ def entry_points(group: str) -> dict[str, str]:
     return {point.name: point.value for point in metadata.entry_points(group=group)}
 
 
-NEEDS = {"segmenter": ("labels", "segment"), "encoder": ("name", "text")}
-"""What a class of each kind must have."""
+_NEEDS = {"segmenter": ("segment", "labels"), "encoder": ("text", "name")}
+"""The method that a class of each kind has, and what an instance has besides."""
 
 
 def load(kind: str, name: str) -> Any:
@@ -56,20 +56,23 @@ def load(kind: str, name: str) -> Any:
         found = getattr(found, part)
     if not inspect.isclass(found):
         raise InputError(f"{who} is a {type(found).__name__}, expected a class")
-    missing = [attribute for attribute in NEEDS[kind] if not hasattr(found, attribute)]
-    if missing:
-        raise InputError(f"{who} lacks {', '.join(f'`{m}`' for m in missing)}: it is no {kind} (perception/protocol.py)")
+    if not callable(getattr(found, _NEEDS[kind][0], None)):
+        raise InputError(f"{who} has no method `{_NEEDS[kind][0]}`: it is no {kind} (perception/protocol.py)")
     return found
 
 
 def make(kind: str, name: str, config: Any) -> Any:
     """An instance of a loaded class. Raises InputError where it cannot be made."""
+    recipe = load(kind, name)
     try:
-        return load(kind, name)(config)
+        made = recipe(config)
     except FuseError:
         raise
     except Exception as error:
         raise InputError(f"{kind} `{name}` cannot be made: {type(error).__name__}: {error}") from error
+    if not hasattr(made, _NEEDS[kind][1]):
+        raise InputError(f"{kind} `{name}` has no `{_NEEDS[kind][1]}`: it is no {kind} (perception/protocol.py)")
+    return made
 
 
 def sources(thing: Any) -> tuple[list[Path], list[str]]:
