@@ -91,10 +91,7 @@ def _doors(kind: str, doors: Registry[Any], chosen: Any) -> list[Check]:
 
 def _door(kind: str, name: str, door: Any, chosen: Any | None) -> Check:
     title = f"{kind} {name}"
-    absent = {
-        route: [package for package in route.packages if not installed(package)]
-        for route in door.routes
-    }
+    absent = {route: [p for p in route.packages if not installed(p)] for route in door.routes}
     if absent and all(absent.values()):
         found = "; ".join(f"{route.name} needs {', '.join(names)}" for route, names in absent.items())
         extras = " or ".join(f"'fuse-grounding[{route.extra}]'" for route in absent)
@@ -104,11 +101,19 @@ def _door(kind: str, name: str, door: Any, chosen: Any | None) -> Check:
     if chosen is None and door.routes:
         hint = f"name its folder: --weights or --set {kind}.weights=DIR"
         return Check(title, False, f"{through}no checkpoint folder is named", hint, needed=False)
+    settings = chosen or door.defaults
     try:
-        files = door.files(chosen or door.defaults)
+        files, route = door.files(settings), door.way(settings)
     except InputError as error:
-        return Check(title, False, f"{through}{error}", "docs/models/doors.md says what belongs in the folder")
-    return Check(title, True, f"{through}{len(files)} file(s)" if files else "needs nothing")
+        return Check(
+            title, False, f"{through}{error}", "docs/models/doors.md says what belongs in the folder"
+        )
+    if route is None:
+        return Check(title, True, f"{len(files)} file(s)" if files else "needs nothing")
+    if absent[route]:
+        missing = f"{len(files)} file(s) for {route.name}, which needs {', '.join(absent[route])}"
+        return Check(title, False, missing, f"pip install 'fuse-grounding[{route.extra}]'")
+    return Check(title, True, f"through {route.name}, {len(files)} file(s)")
 
 
 def _own(kind: str, group: str, doors: Registry[Any], chosen: Any) -> list[Check]:

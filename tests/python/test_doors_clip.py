@@ -77,7 +77,9 @@ def test_the_export_of_the_documentation_gives_the_same_vectors(tmp_path: Path, 
     needs("torch", "transformers", "onnx", "onnxscript")
     write_clip(tmp_path / "clip")
     monkeypatch.chdir(tmp_path)
-    (script,) = (s for s in re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S) if "torch.onnx.export" in s)
+    (script,) = (
+        s for s in re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S) if "torch.onnx.export" in s
+    )
     exec(compile(script, str(DOCS), "exec"), {"__name__": "export"})
     ours, theirs = opened(tmp_path / "clip"), opened(tmp_path / "clip-onnx")
     assert theirs.image(RGB) == pytest.approx(ours.image(RGB), abs=1e-4)
@@ -93,7 +95,13 @@ class Painted:
     words = ("knife", "fork")
 
     def text(self, texts: Any) -> np.ndarray:
-        return np.array([[*(float(w in t) for w in self.words), float("knife" not in t and "fork" not in t)] for t in texts], np.float32)
+        return np.array(
+            [
+                [*(float(w in t) for w in self.words), float("knife" not in t and "fork" not in t)]
+                for t in texts
+            ],
+            np.float32,
+        )
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
         return np.array([0, 0, 1], np.float32)
@@ -113,13 +121,16 @@ def test_patch_evidence_by_hand():
     assert not large.mask[45:].any()
     assert small.mask[70:, 130:].all()
     assert all(0.5 <= d.score <= 1 for d in found)
+
     # One patch against four texts of background: exp(100 * 0.5) each against exp(100 * 0.49).
     class Unsure(Painted):
         def patches(self, rgb: np.ndarray) -> np.ndarray:
             return np.tile(np.array([0.49, 0, 0.5], np.float32), (2, 2, 1))
 
     expected = np.exp(49) / (np.exp(49) + 4 * np.exp(50))
-    assert PatchSegmenter(Unsure()).maps(np.zeros((32, 32, 3), np.uint8), ["knife"]) == pytest.approx(expected, rel=1e-4)
+    assert PatchSegmenter(Unsure()).maps(np.zeros((32, 32, 3), np.uint8), ["knife"]) == pytest.approx(
+        expected, rel=1e-4
+    )
 
 
 def test_patch_evidence_through_the_door(folder: Path):
@@ -151,7 +162,11 @@ def test_what_is_missing_or_foreign_in_an_onnx_folder_is_named(tmp_path: Path):
         ("text.onnx", None, r"text\.onnx is missing"),
         ("text.onnx", kept["text.onnx"][:100], r"text\.onnx is not a usable ONNX file"),
         ("image.onnx", b"junk", r"image\.onnx is not a usable ONNX file"),
-        ("image.onnx", kept["text.onnx"], r"image\.onnx is another network: it takes input_ids and gives text_embeds, expected pixel_values"),
+        (
+            "image.onnx",
+            kept["text.onnx"],
+            r"image\.onnx is another network: it takes input_ids and gives text_embeds, expected",
+        ),
     ]:
         if content is None:
             (tmp_path / name).unlink()
@@ -163,7 +178,9 @@ def test_what_is_missing_or_foreign_in_an_onnx_folder_is_named(tmp_path: Path):
     with pytest.raises(InputError, match=r"encoder\.device is `cuda`, and CLIP in ONNX runs on the CPU"):
         open_encoder(EncoderConfig(name="clip", weights=tmp_path, device="cuda"))
     (tmp_path / "preprocessor_config.json").write_text('{"image_mean": [1, 2]}')
-    with pytest.raises(InputError, match=r"preprocessor_config\.json: image_mean and image_std must be three"):
+    with pytest.raises(
+        InputError, match=r"preprocessor_config\.json: image_mean and image_std must be three"
+    ):
         open_encoder(config)
 
 
@@ -177,7 +194,9 @@ def test_what_is_missing_or_foreign_in_a_transformers_folder_is_named(tmp_path: 
     changed = json.loads(text)
     changed["vision_config"]["hidden_size"] = 48
     (tmp_path / "config.json").write_text(json.dumps(changed))
-    with pytest.raises(InputError, match=r"model\.safetensors are not the weights of CLIP: it has tensors of"):
+    with pytest.raises(
+        InputError, match=r"model\.safetensors are not the weights of CLIP: it has tensors of"
+    ):
         open_segmenter(config)
     (tmp_path / "config.json").write_text(text)
     (tmp_path / "tokenizer.json").unlink()

@@ -117,7 +117,10 @@ def test_a_class_that_is_no_segmenter_is_told_why(here: Path, name: str, content
     [
         ("[3]", "returned a int, expected a Detection"),
         ("[Detection('a', 0.5, rgb[..., 0] > 3)][:0] or [Detection('a', 0.5, rgb)]", "expected a bool array"),
-        ("[Detection('a', 0.5, rgb[:9, :9, 0] > 3)]", r"shape \(9, 9\), expected a bool array of shape \(48, 64\)"),
+        (
+            "[Detection('a', 0.5, rgb[:9, :9, 0] > 3)]",
+            r"shape \(9, 9\), expected a bool array of shape \(48, 64\)",
+        ),
         ("[Detection('a', 1.5, rgb[..., 0] > 3)]", "a score of 1.5, expected a number from 0 to 1"),
         ("[Detection('a', float('nan'), rgb[..., 0] > 3)]", "a score of nan"),
         ("[Detection('b', 0.5, rgb[..., 0] > 3)]", "the label `b`, which was not asked for"),
@@ -132,7 +135,9 @@ def test_what_a_class_returns_is_held_against_the_protocol(here: Path, returned:
         f" def segment(self, rgb, labels): return {returned}\n"
     )
     eye = open_segmenter(SegmenterConfig(name="mine:Eye")).part
-    with pytest.raises(FuseError, match=f"segmenter `mine:Eye` returned .*{message}|segmenter `mine:Eye` {message}"):
+    with pytest.raises(
+        FuseError, match=f"segmenter `mine:Eye` returned .*{message}|segmenter `mine:Eye` {message}"
+    ):
         eye.segment(np.zeros((48, 64, 3), np.uint8), ["a"])
 
 
@@ -150,12 +155,16 @@ def test_an_entry_point_is_a_name(here: Path, monkeypatch: pytest.MonkeyPatch):
     register(here, doors.SEGMENTER_GROUP, red="reddest:Reddest")
     monkeypatch.syspath_prepend(here)
     assert open_segmenter(SegmenterConfig(name="red")).part.labels is None
-    with pytest.raises(InputError, match=r"unknown segmenter `rad`; did you mean `red`\? known: embedded, sam3.*red, or"):
+    with pytest.raises(
+        InputError, match=r"unknown segmenter `rad`; did you mean `red`\? known: embedded, sam3.*red, or"
+    ):
         open_segmenter(SegmenterConfig(name="rad"))
     checks = {c.name: c for c in doctor.examine()}
     assert checks["segmenter red"].ok
     register(here, doors.SEGMENTER_GROUP, sam3="reddest:Reddest")
-    with pytest.raises(InputError, match="entry point reddest:Reddest takes the name `sam3`, which is FUSE's own"):
+    with pytest.raises(
+        InputError, match="entry point reddest:Reddest takes the name `sam3`, which is FUSE's own"
+    ):
         open_segmenter(SegmenterConfig(name="sam3"))
 
 
@@ -185,7 +194,9 @@ def test_without_its_packages_a_door_names_the_extra(tmp_path: Path, monkeypatch
     (tmp_path / "model.safetensors").write_bytes((2).to_bytes(8, "little") + b"{}")
     for name, model, extra in (("sam3", "sam3", "sam3"), ("clip_patches", "clip", "clip")):
         (tmp_path / "config.json").write_text(json.dumps({"model_type": model}))
-        with pytest.raises(InputError, match=rf"needs the optional package `torch`\n\nhint: pip .*\[{extra}\]"):
+        with pytest.raises(
+            InputError, match=rf"needs the optional package `torch`\n\nhint: pip .*\[{extra}\]"
+        ):
             open_segmenter(SegmenterConfig(name=name, weights=tmp_path))
     for name in ("image.onnx", "text.onnx"):
         (tmp_path / name).write_bytes(b"")

@@ -62,7 +62,10 @@ def test_masks_are_those_of_the_model_and_its_processor(folder: Path, segmenter:
     (expected,) = processor.post_process_instance_segmentation(outputs, LOW, target_sizes=[(96, 128)])
     scores = [d.score for d in found if d.label == "water_bottle"]
     assert scores == pytest.approx(
-        sorted((s for s, m in zip(expected["scores"].tolist(), expected["masks"], strict=True) if m.any()), reverse=True),
+        sorted(
+            (s for s, m in zip(expected["scores"].tolist(), expected["masks"], strict=True) if m.any()),
+            reverse=True,
+        ),
         abs=1e-5,
     )
 
@@ -96,17 +99,18 @@ def test_the_video_model_contains_the_image_model(tmp_path: Path, folder: Path, 
     config = json.loads((folder / "config.json").read_text())
     video = {"model_type": "sam3_video", "architectures": ["Sam3VideoModel"], "detector_config": config}
     (tmp_path / "config.json").write_text(json.dumps(video))
-    assert same(
-        Sam3Segmenter(tmp_path, threshold=LOW).segment(RGB, ["mug"]), segmenter.segment(RGB, ["mug"])
-    )
+    assert same(Sam3Segmenter(tmp_path, threshold=LOW).segment(RGB, ["mug"]), segmenter.segment(RGB, ["mug"]))
 
 
 def test_a_picture_is_looked_at_once_and_a_changed_one_again(segmenter: Sam3Segmenter, monkeypatch):
-    looks = []
+    looks: list[int] = []
     looked = segmenter._model.get_vision_features
-    monkeypatch.setattr(
-        segmenter._model, "get_vision_features", lambda pixel_values: looks.append(1) or looked(pixel_values)
-    )
+
+    def look(pixel_values: Any) -> Any:
+        looks.append(1)
+        return looked(pixel_values)
+
+    monkeypatch.setattr(segmenter._model, "get_vision_features", look)
     picture = RGB.copy()
     first = segmenter.segment(picture, ["mug"])
     looks.clear()
@@ -178,15 +182,24 @@ def shallower(root: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda root: (root / "tokenizer.json").unlink(), "has no tokenizer: expected tokenizer.json, or vocab"),
+        (
+            lambda root: (root / "tokenizer.json").unlink(),
+            "has no tokenizer: expected tokenizer.json, or vocab",
+        ),
         (lambda root: (root / "tokenizer.json").write_text("{}"), "the tokenizer in .* cannot be used"),
         (lambda root: (root / "model.safetensors").unlink(), "has no weights: expected model.safetensors"),
         (lambda root: (root / "config.json").unlink(), r"config\.json is missing"),
         (lambda root: (root / "config.json").write_text("{"), r"config\.json is not readable JSON"),
-        (truncate("model.safetensors"), r"model\.safetensors is truncated or damaged: \d+ bytes, expected \d+"),
+        (
+            truncate("model.safetensors"),
+            r"model\.safetensors is truncated or damaged: \d+ bytes, expected \d+",
+        ),
         (lambda root: (root / "model.safetensors").write_bytes(b"x"), "truncated or not a safetensors file"),
         (configure(model_type="sam2"), "is of a model of type `sam2`, expected `sam3` or `sam3_video`"),
-        (wider, r"are not the weights of SAM3: it has tensors of another model or size: detr_decoder\.query_embed"),
+        (
+            wider,
+            r"are not the weights of SAM3: it has tensors of another model or size: detr_dec.*query",
+        ),
         (deeper, r"are not the weights of SAM3: it lacks detr_encoder\.layers\.2.* and \d+ more"),
         (shallower, r"another model or size: detr_encoder\.layers\.1"),
     ],
@@ -220,14 +233,18 @@ def test_a_damaged_original_is_refused_by_name(tmp_path: Path):
         with pytest.raises(InputError, match=r"sam3\.pt does not hold named tensors"):
             Sam3Segmenter(path)
     torch.save({"model": {"image_encoder.neck.0.weight": torch.ones(3)}}, path)
-    with pytest.raises(InputError, match=r"sam3\.pt are not the weights of SAM3: it lacks detector\.backbone"):
+    with pytest.raises(
+        InputError, match=r"sam3\.pt are not the weights of SAM3: it lacks detector\.backbone"
+    ):
         Sam3Segmenter(path)
 
 
 def test_the_door_needs_a_folder_and_a_device_that_is_there(folder: Path, tmp_path: Path):
     import torch
 
-    with pytest.raises(InputError, match="segmenter `sam3` needs a checkpoint folder .* `segmenter.weights`"):
+    with pytest.raises(
+        InputError, match=r"segmenter `sam3` needs a checkpoint folder .* `segmenter\.weights`"
+    ):
         open_segmenter(SegmenterConfig(name="sam3"))
     with pytest.raises(InputError, match=r"nowhere \(`segmenter\.weights`\) does not exist"):
         open_segmenter(SegmenterConfig(name="sam3", weights=tmp_path / "nowhere"))
@@ -241,5 +258,7 @@ def test_the_door_needs_a_folder_and_a_device_that_is_there(folder: Path, tmp_pa
     assert set(opened.packages) == {"torch", "torchvision", "transformers"}
     assert opened.part.segment(RGB, ["mug"])
     if not torch.cuda.is_available():
-        with pytest.raises(InputError, match="`segmenter.device` is `cuda`, and torch finds no CUDA device"):
+        with pytest.raises(
+            InputError, match=r"`segmenter\.device` is `cuda`, and torch finds no CUDA device"
+        ):
             open_segmenter(SegmenterConfig(name="sam3", weights=folder, device="cuda"))

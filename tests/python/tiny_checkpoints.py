@@ -69,7 +69,12 @@ def clip_model(tokens: int, seed: int = 0) -> Any:
 
     torch.manual_seed(seed)
     layer = {"hidden_size": 32, "intermediate_size": 48, "num_hidden_layers": 1, "num_attention_heads": 2}
-    text = {"vocab_size": tokens, "bos_token_id": tokens - 2, "eos_token_id": tokens - 1, "pad_token_id": tokens - 1}
+    text = {
+        "vocab_size": tokens,
+        "bos_token_id": tokens - 2,
+        "eos_token_id": tokens - 1,
+        "pad_token_id": tokens - 1,
+    }
     config = CLIPConfig(
         text_config={**layer, **text, "max_position_embeddings": LONGEST},
         vision_config={**layer, "image_size": SIDE, "patch_size": PATCH},

@@ -19,7 +19,6 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.record import EpisodeRecord
 from fuse_grounding.runfolder import RunFolder, check, prepare
 
-
 Segmenter = Annotated[
     str | None,
     typer.Option(help="embedded, sam3, clip_patches or package.module:Class; default: embedded."),
@@ -27,7 +26,9 @@ Segmenter = Annotated[
 Weights = Annotated[Path | None, typer.Option(help="Checkpoint folder or file of the segmenter.")]
 OpenVocabulary = Annotated[
     str | None,
-    typer.Option(help="What becomes of labels that the segmenter does not know: leave_out (default), nearest."),
+    typer.Option(
+        help="What becomes of labels that the segmenter does not know: leave_out (default), nearest."
+    ),
 ]
 
 

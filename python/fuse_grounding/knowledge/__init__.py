@@ -8,12 +8,12 @@ from fuse_grounding.config import KnowledgeConfig
 from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.direct import Direct
 from fuse_grounding.knowledge.graph import Graph
-from fuse_grounding.perception.lexical import Lexical
 from fuse_grounding.knowledge.nearest import Nearest
 from fuse_grounding.knowledge.oracle import Oracle
 from fuse_grounding.knowledge.protocol import Candidate, Hypotheses, KnowledgeSource, Query
 from fuse_grounding.knowledge.query import understand
 from fuse_grounding.knowledge.vocabulary import OpenVocabulary
+from fuse_grounding.perception.lexical import Lexical
 from fuse_grounding.perception.protocol import TextEncoder
 from fuse_grounding.registry import Registry
 

@@ -62,8 +62,8 @@ def replaced(open_: Hypotheses, vocabulary: Sequence[str], nearest: Nearest) -> 
         taken.setdefault(found.label, Candidate(found.label, candidate.score, reason))
         replacements.append(found)
     notes = [
-        f"{open_.source}: the segmenter has a closed set of labels: `{r.proposed}` is replaced by the nearest "
-        f"one, `{r.label}` ({r.words!r}, {r.encoder} similarity {r.similarity:.2f})"
+        f"{open_.source}: the segmenter has a closed set of labels: `{r.proposed}` is replaced by the "
+        f"nearest one, `{r.label}` ({r.words!r}, {r.encoder} similarity {r.similarity:.2f})"
         for r in replacements
     ]
     return Hypotheses(

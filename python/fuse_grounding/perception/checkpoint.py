@@ -47,7 +47,9 @@ def model_type(path: Path, expected: Iterable[str]) -> str:
     """The architecture that a `config.json` names. Raises InputError unless it is one of the expected."""
     found, wanted = read_json(path).get("model_type"), list(expected)
     if found not in wanted:
-        raise InputError(f"{path} is of a model of type `{found}`, expected {' or '.join(f'`{w}`' for w in wanted)}")
+        raise InputError(
+            f"{path} is of a model of type `{found}`, expected {' or '.join(f'`{w}`' for w in wanted)}"
+        )
     return str(found)
 
 
@@ -81,7 +83,9 @@ def weight_files(root: Path) -> list[Path]:
         return [root / _INDEX, *(root / name for name in names)]
     if (root / _PICKLE).is_file():
         return [root / _PICKLE]
-    raise InputError(f"checkpoint folder {root} has no weights: expected {_SAFETENSORS}, {_INDEX} or {_PICKLE}")
+    raise InputError(
+        f"checkpoint folder {root} has no weights: expected {_SAFETENSORS}, {_INDEX} or {_PICKLE}"
+    )
 
 
 def check_safetensors(path: Path) -> None:
@@ -108,14 +112,16 @@ def check_safetensors(path: Path) -> None:
 
 
 def load_pickle(path: Path, torch: Any) -> dict[str, Any]:
-    """Named tensors of a PyTorch file, also where they lie under `model` or `state_dict`. Raises InputError."""
+    """Named tensors of a PyTorch file, also those under `model` or `state_dict`. Raises InputError."""
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         raise InputError(f"checkpoint file {path} cannot be read: {error}") from None
     except Exception as error:  # a zip, pickle or runtime error, or one of torch's own
         first = str(error).strip().split("\n")[0][:200]
-        raise InputError(f"{path} is not a PyTorch file of tensors alone (weights_only=True): {first}") from None
+        raise InputError(
+            f"{path} is not a PyTorch file of tensors alone (weights_only=True): {first}"
+        ) from None
     for key in ("model", "state_dict"):
         if isinstance(found, Mapping) and isinstance(found.get(key), Mapping):
             found = found[key]
@@ -129,7 +135,10 @@ def check_fit(path: Path, what: str, missing: Iterable[str], foreign: Iterable[s
 
     `missing`, `foreign`: names that only the model, only the file has, or whose shapes differ.
     """
-    for names, how in ((sorted(missing), "lacks"), (sorted(foreign), "has tensors of another model or size:")):
+    for names, how in (
+        (sorted(missing), "lacks"),
+        (sorted(foreign), "has tensors of another model or size:"),
+    ):
         if names:
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             raise InputError(f"{path} are not the weights of {what}: it {how} {', '.join(names[:3])}{more}")

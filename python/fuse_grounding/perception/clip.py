@@ -54,7 +54,8 @@ class Pixels:
         rgb = check_picture(rgb)
         how = cv2.INTER_AREA if min(rgb.shape[:2]) > self.size else cv2.INTER_CUBIC
         small = cv2.resize(rgb, (self.size, self.size), interpolation=how).astype(np.float32) / 255
-        return ((small - np.float32(self.mean)) / np.float32(self.deviation)).transpose(2, 0, 1)[None]
+        mean, deviation = np.asarray(self.mean, np.float32), np.asarray(self.deviation, np.float32)
+        return np.asarray((small - mean) / deviation).transpose(2, 0, 1)[None]
 
 
 def normalised(vectors: np.ndarray) -> np.ndarray:
@@ -75,7 +76,9 @@ def check_lengths(texts: Sequence[str], count: Callable[[str], int], longest: in
     """Raises InputError for a text of more tokens than the network reads: it would be cut silently."""
     for text in check_texts("texts", texts):
         if (tokens := count(text)) > longest:
-            raise InputError(f"the text {quoted(text)} is too long for CLIP: {tokens} tokens, it reads {longest}")
+            raise InputError(
+                f"the text {quoted(text)} is too long for CLIP: {tokens} tokens, it reads {longest}"
+            )
     return list(texts)
 
 

@@ -26,7 +26,9 @@ def files(root: Path) -> list[Path]:
     """The files of a folder that decide results, tensors beside the networks too. Raises InputError."""
     for name in (IMAGE, TEXT, TOKENIZER):
         if not (root / name).is_file():
-            raise InputError(f"checkpoint file {root / name} is missing: CLIP in ONNX is {IMAGE}, {TEXT}, {TOKENIZER}")
+            raise InputError(
+                f"checkpoint file {root / name} is missing: CLIP in ONNX is {IMAGE}, {TEXT}, {TOKENIZER}"
+            )
     beside = root / "preprocessor_config.json"
     networks = [path for name in (IMAGE, TEXT) for path in sorted(root.glob(f"{name}*"))]
     return [*networks, root / TOKENIZER, *([beside] if beside.is_file() else [])]
@@ -90,6 +92,10 @@ def _fixed(session: Any, path: Path, expected: str) -> int:
     """The last length of the input's shape, which must be a number. Raises InputError."""
     shape = session.get_inputs()[0].shape
     fits = len(shape) == len(expected.split(","))
-    if not fits or not isinstance(shape[-1], int) or (len(shape) == 4 and (shape[1] != 3 or shape[2] != shape[3])):
+    if (
+        not fits
+        or not isinstance(shape[-1], int)
+        or (len(shape) == 4 and (shape[1] != 3 or shape[2] != shape[3]))
+    ):
         raise InputError(f"{path} takes an input of shape {shape}, expected {expected} with a fixed size")
     return int(shape[-1])

@@ -1,7 +1,7 @@
 """Which segmenter and which encoder: names to parts, with all that their results depend on.
 
-Everything that can be chosen by name is in `SEGMENTERS` and `ENCODERS`; what is not there is an entry point of
-the groups below, or `package.module:Class`.
+What ships is in `SEGMENTERS` and `ENCODERS`; what is not there is an entry point of the groups below, or
+`package.module:Class`.
 """
 
 from __future__ import annotations
@@ -52,13 +52,15 @@ class Door(Generic[C, T]):
     """A part that has a name.
 
     `defaults` are its settings; `files` finds the files of its checkpoint, quickly, or raises InputError;
-    `open` makes the part; `routes` are the ways to run it, none where nothing has to be installed or named.
+    `open` makes the part; `routes` are the ways to run it, none where nothing has to be installed or named,
+    and `way` is the one of a checkpoint.
     """
 
     defaults: C
     files: Callable[[C], tuple[Path, ...]]
     open: Callable[[C], Opened[T]]
     routes: tuple[Route, ...] = ()
+    way: Callable[[C], Route | None] = lambda config: None
 
 
 SEGMENTERS: Registry[Door[SegmenterConfig, Segmenter]] = Registry("segmenter")
@@ -148,7 +150,9 @@ def _clip(weights: Path | None, device: str, section: str, who: str) -> Opened[E
     files = _clip_files(weights, section, who)
     if onnx:
         if device == "cuda":
-            raise InputError(f"{section}.device is `cuda`, and CLIP in ONNX runs on the CPU; {root} holds ONNX files")
+            raise InputError(
+                f"{section}.device is `cuda`, and CLIP in ONNX runs on the CPU; {root} holds ONNX files"
+            )
         return Opened(clip_onnx.OnnxClipEncoder(root), files, clip_onnx.PACKAGES, _RUNTIME)
     encoder = clip.ClipEncoder(root, device, f"{section}.device")
     return Opened(encoder, files, clip.PACKAGES, torch_models.describe(encoder.device))
@@ -165,6 +169,7 @@ def _clip_encoder(config: EncoderConfig) -> Opened[TextEncoder]:
     return Opened(found.part, found.files, found.packages, found.device)
 
 
+_SAM3_ROUTE = Route("transformers", sam3.PACKAGES, "sam3")
 _CLIP_ROUTES = (
     Route("transformers", clip.PACKAGES, "clip"),
     Route("ONNX Runtime", clip_onnx.PACKAGES, "clip-onnx"),
@@ -177,7 +182,8 @@ SEGMENTERS.add(
         SegmenterConfig(name="sam3"),
         lambda c: tuple(sam3.files(c.weights)),
         _sam3,
-        (Route("transformers", sam3.PACKAGES, "sam3"),),
+        (_SAM3_ROUTE,),
+        lambda c: _SAM3_ROUTE,
     ),
 )
 SEGMENTERS.add(
@@ -187,11 +193,10 @@ SEGMENTERS.add(
         lambda c: _clip_files(c.weights, "segmenter", "segmenter `clip_patches`"),
         _clip_patches,
         _CLIP_ROUTES,
+        lambda c: _CLIP_ROUTES[_clip_root(c.weights, "segmenter", "segmenter `clip_patches`")[1]],
     ),
 )
-ENCODERS.add(
-    "lexical", Door(EncoderConfig(), lambda c: (), lambda c: Opened(Lexical(), (), (), "cpu"))
-)
+ENCODERS.add("lexical", Door(EncoderConfig(), lambda c: (), lambda c: Opened(Lexical(), (), (), "cpu")))
 ENCODERS.add(
     "clip",
     Door(
@@ -199,5 +204,6 @@ ENCODERS.add(
         lambda c: _clip_files(c.weights, "encoder", "encoder `clip`"),
         _clip_encoder,
         _CLIP_ROUTES,
+        lambda c: _CLIP_ROUTES[_clip_root(c.weights, "encoder", "encoder `clip`")[1]],
     ),
 )

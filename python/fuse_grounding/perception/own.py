@@ -44,7 +44,9 @@ def load(kind: str, name: str) -> Any:
         found: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is not None and f"{module_name}.".startswith(f"{error.name}."):
-            raise InputError(f"{who}: there is no module `{error.name}` here or among the installed packages") from None
+            raise InputError(
+                f"{who}: there is no module `{error.name}` here or among the installed packages"
+            ) from None
         raise InputError(f"{who}: its module needs `{error.name}`, which is not installed") from error
     except Exception as error:
         raise InputError(f"{who}: its module cannot be imported: {type(error).__name__}: {error}") from error
@@ -71,7 +73,9 @@ def make(kind: str, name: str, config: Any) -> Any:
     except Exception as error:
         raise InputError(f"{kind} `{name}` cannot be made: {type(error).__name__}: {error}") from error
     if not hasattr(made, _NEEDS[kind][1]):
-        raise InputError(f"{kind} `{name}` has no `{_NEEDS[kind][1]}`: it is no {kind} (perception/protocol.py)")
+        raise InputError(
+            f"{kind} `{name}` has no `{_NEEDS[kind][1]}`: it is no {kind} (perception/protocol.py)"
+        )
     return made
 
 
@@ -107,7 +111,11 @@ class CheckedSegmenter:
             raise FuseError(f"{who} a {type(detection).__name__}, expected a Detection")
         mask, score = detection.mask, detection.score
         if not isinstance(mask, np.ndarray) or mask.dtype != bool or mask.shape != shape:
-            what = f"{mask.dtype} array of shape {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
+            what = (
+                f"{mask.dtype} array of shape {mask.shape}"
+                if isinstance(mask, np.ndarray)
+                else type(mask).__name__
+            )
             raise FuseError(f"{who} a mask that is a {what}, expected a bool array of shape {tuple(shape)}")
         if isinstance(score, bool) or not isinstance(score, (int, float, np.floating)) or not 0 <= score <= 1:
             raise FuseError(f"{who} a score of {score!r}, expected a number from 0 to 1")

@@ -118,7 +118,7 @@ class Sam3Segmenter:
 
 
 def _processor(library: Any, root: Path, size: int) -> Any:
-    """Picture and text processing; the folder's own settings of pictures, or the original's at the model's size."""
+    """Processing of pictures, as the folder says or as the original does at the model's size, and of text."""
     pictures = library.Sam3ImageProcessor
     if (root / "preprocessor_config.json").is_file():
         images = torch_models.loaded(pictures, root, "preprocessor_config.json")

@@ -17,8 +17,17 @@ from typing import Any
 _ROOTS = ("detector.", "sam3_model.", "")
 """Where the image model may lie: as released, in files of its training code, alone."""
 
-_FUSION = (("layer_norm", "norm"), ("mlp.fc", "linear"), ("o_proj", "out_proj"), (".cross_attn.", ".cross_attn_image."))
-_HEADS = (("box_head", "bbox_embed"), ("presence_head", "presence_token_head"), ("box_rpb_embed", "boxRPB_embed"))
+_FUSION = (
+    ("layer_norm", "norm"),
+    ("mlp.fc", "linear"),
+    ("o_proj", "out_proj"),
+    (".cross_attn.", ".cross_attn_image."),
+)
+_HEADS = (
+    ("box_head", "bbox_embed"),
+    ("presence_head", "presence_token_head"),
+    ("box_rpb_embed", "boxRPB_embed"),
+)
 
 _MODULES: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
     (
@@ -130,12 +139,11 @@ class Source:
 
 def source(name: str) -> Source:
     """Where the model's tensor `name` lies in the original. Raises KeyError for a name of another model."""
-    for module, original, parts in _MODULES:
-        if name.startswith(module):
-            rest = name.removeprefix(module)
-            break
-    else:
+    fitting = [entry for entry in _MODULES if name.startswith(entry[0])]
+    if not fitting:
         raise KeyError(name)
+    module, original, parts = fitting[0]
+    rest = name.removeprefix(module)
     third = None
     if found := re.search(r"\b([qkv])_proj\.(weight|bias)$", rest):
         third = "qkv".index(found[1])
