@@ -104,8 +104,8 @@ def test_what_is_not_known_becomes_the_nearest_once():
     assert found.candidates[0].reason == "nearest known label to `soup_ladle`: why"
     assert found.announcements[0] == "first"
     assert found.announcements[1].startswith(
-        "some: the segmenter has a closed set of labels: `soup_ladle` is replaced by the nearest one, `ladle` "
-        "('ladle', lexical similarity 0."
+        "some: the segmenter has a closed set of labels: `soup_ladle` is replaced by the nearest one, "
+        "`ladle` ('ladle', lexical similarity 0."
     )
     assert found.announcements[-1] == "some: left out, because the segmenter does not know it: `🦊`"
     assert nearest().to("knife", ()) is None

@@ -25,7 +25,7 @@ def check_picture(rgb: object) -> np.ndarray:
 
 
 def check_texts(name: str, texts: object) -> list[str]:
-    """`texts` as a list. Raises InputError, naming the argument, unless all are strings that say something."""
+    """`texts` as a list. Raises InputError, naming the argument, unless all are strings with words."""
     if isinstance(texts, str):
         raise InputError(f"{name} must be a sequence of {name}, found the string {quoted(texts)}")
     if not isinstance(texts, Sequence):
