@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find crates src -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock pyproject.toml
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test bench bench-peers install lint test-rust test-python test-wheel data weights clean
+.PHONY: demo test bench bench-peers install lint test-rust test-python test-doors test-wheel data weights clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -46,6 +46,13 @@ test-rust:
 test-python: install
 	$(BIN)/python -m mypy.stubtest fuse_grounding._core --allowlist tests/python/stubtest-allow.txt
 	$(BIN)/python -m pytest
+
+# SAM3 and CLIP through torch and transformers, several GB that nothing else needs: installed here, and
+# nothing may be skipped.
+test-doors: install
+	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --extras dev,sam3,clip
+	$(BIN)/python -m pip install --quiet onnxscript
+	FUSE_REQUIRE_DOORS=1 $(BIN)/python -m pytest tests/python/test_doors_*.py
 
 # The built wheel, installed into an environment of its own.
 test-wheel: install

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 from fuse_grounding import knowledge, mapping, splat
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
-from fuse_grounding.config import Config, RegistrationConfig, SegmenterConfig
+from fuse_grounding.config import Config, RegistrationConfig
 from fuse_grounding.environment import render_device
 from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
-from fuse_grounding.perception.embedded import DEFAULT_PATH, EmbeddedSegmenter
-from fuse_grounding.perception.protocol import Segmenter
+from fuse_grounding.perception.doors import open_encoder, open_segmenter
 from fuse_grounding.planning.explicit import evidence_maps
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
-from fuse_grounding.registry import Registry
-
-SEGMENTERS: Registry[Callable[[SegmenterConfig], tuple[Segmenter, Path]]] = Registry("segmenter")
-"""By name: what makes it, with the file of its weights."""
-
-
-def _embedded(config: SegmenterConfig) -> tuple[Segmenter, Path]:
-    weights = config.weights or DEFAULT_PATH
-    return EmbeddedSegmenter(weights), weights
-
-
-SEGMENTERS.add("embedded", _embedded)
 
 
 def make_registrar(config: RegistrationConfig) -> PointRegistrar:
@@ -43,8 +27,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     Raises InputError for unknown names and missing or broken weights.
     """
     method, config = resolve(config)
-    source = knowledge.make(config.knowledge)
-    make_segmenter = SEGMENTERS.get(config.segmenter.name)
+    knowledge.make(config.knowledge)
     # What cannot run says so before anything is loaded.
     method.policy(config, 0)
     announcements = mapping.check(config.map) if method.maps else []
@@ -54,7 +37,8 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         announcements.append(
             f"render.device {config.render.device}: {why}the world is rendered on {rendered_on}"
         )
-    segmenter, weights = make_segmenter(config.segmenter)
+    encoder = open_encoder(config.encoder)
+    segmenter = open_segmenter(config.segmenter)
 
     # Taken once: what the record names is what every map of the run is trained on.
     device = splat.device_name(config.map.device if method.maps else "cpu")
@@ -68,16 +52,19 @@ def assemble(config: Config) -> tuple[Parts, Config]:
 
     parts = Parts(
         understand=knowledge.parse,
-        knowledge=source,
-        segmenter=segmenter,
+        knowledge=knowledge.make(config.knowledge, encoder.part),
+        segmenter=segmenter.part,
         policy=lambda episode: method.policy(config, episode),
         spatial=spatial,
         look=lambda situation, rendered: evidence_maps(situation, rendered, config),
         provenance=provenance(
             device,
             rendered_on,
-            segmenter=weights,
-            **({} if config.gate.planner is None else {"planner": config.gate.planner}),
+            {"segmenter": segmenter.device, "encoder": encoder.device},
+            (*segmenter.packages, *encoder.packages),
+            segmenter=segmenter.files,
+            encoder=encoder.files,
+            planner=() if config.gate.planner is None else (config.gate.planner,),
         ),
         announcements=announcements,
     )

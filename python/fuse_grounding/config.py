@@ -218,15 +218,40 @@ class KnowledgeConfig(Section):
     """Candidates kept, best first. Ours."""
     oracle: Literal["target", "valid"] = "target"
     """Tells the episode's target label (supplement, "Oracle-Label FUSE"), or every valid one."""
+    open_vocabulary: Literal["leave_out", "nearest"] = "leave_out"
+    """What becomes of a label that the segmenter does not know: left out, or replaced by the nearest known
+    one by `encoder`; either is announced and recorded. `direct` always replaces. Ours."""
 
 
 class SegmenterConfig(Section):
-    """Finding the candidates in a picture."""
+    """Finding the candidates in a picture. docs/models/doors.md says how to bring your own."""
 
     name: str = "embedded"
-    """The network that ships with the package. The paper uses SAM3."""
+    """`embedded` ships with the package; `sam3` (the paper's) and `clip_patches` (its ablation) need
+    checkpoints; an entry point's name, or `package.module:Class`, is yours."""
     weights: Path | None = None
-    """Another ONNX file of the same design; none: the shipped one."""
+    """Checkpoint folder or file; none: the shipped one, which `embedded` alone has."""
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
+    """Where torch runs, if the segmenter uses it; `auto`: CUDA where there is one. What was taken is in the
+    record. Ours."""
+    threshold: Fraction | None = None
+    """Scores below are left out; none: the segmenter's own. Not in the paper."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Settings of a segmenter of your own, handed to it as they are."""
+
+
+class EncoderConfig(Section):
+    """Comparing words, where a label has to be replaced by the nearest known one."""
+
+    name: str = "lexical"
+    """`lexical` compares letters; `clip` needs a checkpoint (supplement: ViT-B/16); an entry point's name, or
+    `package.module:Class`, is yours."""
+    weights: Path | None = None
+    """Checkpoint folder."""
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
+    """As `segmenter.device`."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Settings of an encoder of your own, handed to it as they are."""
 
 
 class MetricConfig(Section):
@@ -277,6 +302,7 @@ class Config(Section):
     sensor: SensorConfig = SensorConfig()
     knowledge: KnowledgeConfig = KnowledgeConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
+    encoder: EncoderConfig = EncoderConfig()
     metric: MetricConfig = MetricConfig()
     random: RandomConfig = RandomConfig()
     canonical: CanonicalConfig = CanonicalConfig()

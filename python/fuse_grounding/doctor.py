@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import importlib.metadata as metadata
+import importlib.util
 import os
 import platform
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fuse_grounding import _core, splat
-from fuse_grounding.errors import FuseError
+from fuse_grounding.config import Config
+from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.perception.doors import ENCODER_GROUP, ENCODERS, SEGMENTER_GROUP, SEGMENTERS
+from fuse_grounding.perception.own import entry_points, load
+from fuse_grounding.registry import Registry
 
 PACKAGE = Path(__file__).parent
 
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report; `hint` says what to do when it is not `ok`."""
+    """One line of the report; `hint` says what to do when it is not `ok`; some things are not `needed`."""
 
     name: str
     ok: bool
     found: str
     hint: str = ""
+    needed: bool = True
 
 
 def _package(name: str, hint: str = "", required: bool = True) -> Check:
     try:
         return Check(name, True, metadata.version(name))
     except metadata.PackageNotFoundError:
-        return Check(name, not required, "not installed", hint or f"pip install {name}")
+        return Check(name, False, "not installed", hint or f"pip install {name}", needed=required)
 
 
 def _shipped(name: str, path: Path) -> Check:
@@ -67,8 +74,67 @@ def _gpu() -> Check:
         return Check("gpu", True, f"{error}; maps are trained on {auto}")
 
 
-def examine() -> list[Check]:
-    """All checks, in the order of the report."""
+def installed(package: str) -> bool:
+    """Whether a package can be imported."""
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ValueError:  # kept from being imported
+        return False
+
+
+def _doors(kind: str, doors: Registry[Any], chosen: Any) -> list[Check]:
+    """A line for each segmenter or encoder of ours. Only the chosen one is needed."""
+    return [
+        _door(kind, name, doors.get(name), chosen if chosen.name == name else None) for name in doors.names()
+    ]
+
+
+def _door(kind: str, name: str, door: Any, chosen: Any | None) -> Check:
+    title = f"{kind} {name}"
+    absent = {route: [p for p in route.packages if not installed(p)] for route in door.routes}
+    if absent and all(absent.values()):
+        found = "; ".join(f"{route.name} needs {', '.join(names)}" for route, names in absent.items())
+        extras = " or ".join(f"'fuse-grounding[{route.extra}]'" for route in absent)
+        return Check(title, False, found, f"pip install {extras}", needed=chosen is not None)
+    ways = " or ".join(route.name for route, names in absent.items() if not names)
+    through = f"through {ways}, " if ways else ""
+    if chosen is None and door.routes:
+        hint = f"name its folder: --weights or --set {kind}.weights=DIR"
+        return Check(title, False, f"{through}no checkpoint folder is named", hint, needed=False)
+    settings = chosen or door.defaults
+    try:
+        files, route = door.files(settings), door.way(settings)
+    except InputError as error:
+        return Check(
+            title, False, f"{through}{error}", "docs/models/doors.md says what belongs in the folder"
+        )
+    if route is None:
+        return Check(title, True, f"{len(files)} file(s)" if files else "needs nothing")
+    if absent[route]:
+        missing = f"{len(files)} file(s) for {route.name}, which needs {', '.join(absent[route])}"
+        return Check(title, False, missing, f"pip install 'fuse-grounding[{route.extra}]'")
+    return Check(title, True, f"through {route.name}, {len(files)} file(s)")
+
+
+def _own(kind: str, group: str, doors: Registry[Any], chosen: Any) -> list[Check]:
+    """A line for each entry point, and for the class that is chosen."""
+    theirs = entry_points(group)
+    if chosen.name not in doors.names():
+        theirs.setdefault(chosen.name, chosen.name)
+    checks = []
+    for name, value in theirs.items():
+        try:
+            load(kind, value)
+            checks.append(Check(f"{kind} {name}", True, f"{value} can be loaded"))
+        except InputError as error:
+            hint = "docs/models/doors.md has an example"
+            checks.append(Check(f"{kind} {name}", False, f"{error}", hint, needed=name == chosen.name))
+    return checks
+
+
+def examine(config: Config | None = None) -> list[Check]:
+    """All checks, in the order of the report; `config` says which segmenter and encoder must be usable."""
+    config = config or Config()
     return [
         Check("fuse-grounding", True, _core.__version__),
         Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
@@ -78,6 +144,10 @@ def examine() -> list[Check]:
         _disk(),
         *(_package(n) for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic")),
         _package("torch", "pip install 'fuse-grounding[train]' (only to train networks)", required=False),
+        *_doors("segmenter", SEGMENTERS, config.segmenter),
+        *_own("segmenter", SEGMENTER_GROUP, SEGMENTERS, config.segmenter),
+        *_doors("encoder", ENCODERS, config.encoder),
+        *_own("encoder", ENCODER_GROUP, ENCODERS, config.encoder),
         _shipped("objects", PACKAGE / "data" / "objects"),
         _shipped("scenes", PACKAGE / "data" / "scenes.json"),
         _shipped("segmenter weights", PACKAGE / "weights" / "segmenter.onnx"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from fuse_grounding.config import Config
 from fuse_grounding.environment.protocol import Observation
@@ -17,6 +18,7 @@ from fuse_grounding.record import (
     CandidateEntry,
     EpisodeRecord,
     InitializationEntry,
+    ReplacementEntry,
     ResultEntry,
     SeedEntry,
     StepEntry,
@@ -36,6 +38,7 @@ def open_record(config: Config, parts: Parts, query: Query, hypotheses: Hypothes
         knowledge=hypotheses.source,
         candidates=_entries(hypotheses.candidates),
         candidates_unknown=_entries(hypotheses.unknown),
+        candidates_replaced=[ReplacementEntry(**asdict(r)) for r in hypotheses.replaced],
         announcements=[*hypotheses.announcements, *parts.announcements],
         config=config.to_dict(),
         provenance=parts.provenance,

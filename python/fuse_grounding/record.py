@@ -65,6 +65,16 @@ class CandidateEntry(Entry):
     reason: str
 
 
+class ReplacementEntry(Entry):
+    """A proposed label that became the nearest one that the segmenter knows, by a text encoder."""
+
+    proposed: str
+    label: str
+    words: str
+    similarity: float
+    encoder: str
+
+
 class SeedEntry(Entry):
     """A seed view: where it was asked for and how its pose was found."""
 
@@ -193,6 +203,8 @@ class EpisodeRecord(Entry):
     candidates: list[CandidateEntry]
     candidates_unknown: list[CandidateEntry] = Field(default_factory=list)
     """Proposed and left out, because the segmenter does not know these labels."""
+    candidates_replaced: list[ReplacementEntry] = Field(default_factory=list)
+    """Proposed in words that the segmenter does not know, and what was taken instead."""
     announcements: list[str]
     seed: int | None = None
     scene: str | None = None

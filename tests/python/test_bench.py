@@ -23,6 +23,7 @@ PROVENANCE: dict[str, Any] = {
     "simd_level": "avx2",
     "device": "cpu (avx2)",
     "render_device": "cpu (avx2)",
+    "perception": {"segmenter": "cpu (torch)"},
     "commit": "c0ffee",
 }
 EPISODES = [Episode('{"episode_id": "a", "seed": 1}'), Episode('{"episode_id": "b", "seed": 2}')]
@@ -97,6 +98,10 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
         (
             {"render_device": "gpu (NVIDIA L4, Vulkan)"},
             r"with pictures of another device \(`render_device` is 'cpu \(avx2\)' there .*\)",
+        ),
+        (
+            {"perception": {"segmenter": "cuda (NVIDIA H100, torch)"}},
+            r"with a segmenter or encoder on another device \(`perception\.segmenter` is 'cpu .*\)",
         ),
     ]
     for other, how in others:

@@ -38,7 +38,7 @@ def test_version(capsys: pytest.CaptureFixture[str]):
     [
         (["cut", "--method", "explict"], "unknown method `explict`; did you mean `explicit`? known: static"),
         (["cut", "--knowledge", "grph"], "unknown knowledge source `grph`; did you mean `graph`?"),
-        (["cut", "--segmenter", "sam9"], "unknown segmenter `sam9`; known: embedded"),
+        (["cut", "--segmenter", "sam9"], "unknown segmenter `sam9`; did you mean `sam3`? known: embedded"),
         (["cut", "--registration", "slam"], "--set registration.backend=slam: `registration.backend`: found"),
         (["sing a song"], "no known verb in the query 'sing a song'; known: cut"),
         (["cut", "--set", "gate.etta=1"], "--set gate.etta=1: unknown key `gate.etta`; did you mean `eta`?"),

@@ -21,6 +21,9 @@ IDENTITY_VERSION = 1
 RUNTIME_SETTINGS = {
     "method": "each result names its own, and a resumed benchmark may add some",
     "segmenter.weights": "where the file lies; its bytes count, under `weights`",
+    "segmenter.device": "what was wished for; what was taken counts, under `perception`",
+    "encoder.weights": "where they lie; their bytes count, under `weights`",
+    "encoder.device": "what was wished for; what was taken counts, under `perception`",
     "gate.planner": "where the file lies; its bytes count, under `weights`",
     "map.device": "what was wished for; what was taken counts, under `device`",
     "render.device": "what was wished for; what was taken counts, under `render_device`",
@@ -42,6 +45,7 @@ _MEANINGS = {
     "simd_level": "at another SIMD level",
     "device": "on another device",
     "render_device": "with pictures of another device",
+    "perception": "with a segmenter or encoder on another device",
 }
 
 
@@ -61,6 +65,7 @@ def identity(config: Config, episodes: Sequence[Episode], provenance: Mapping[st
         "simd_level": provenance["simd_level"],
         "device": provenance["device"],
         "render_device": provenance["render_device"],
+        "perception": provenance["perception"],
     }
 
 

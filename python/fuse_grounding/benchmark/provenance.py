@@ -6,11 +6,13 @@ import hashlib
 import importlib.metadata
 import platform
 import subprocess
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from fuse_grounding import _core
+from fuse_grounding.errors import InputError
 
 _PACKAGES = ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap")
 _ROOT = Path(__file__).parents[3]
@@ -33,23 +35,44 @@ def _git() -> dict[str, Any]:
     return {"commit": commit, "dirty": bool(status)}
 
 
-def sha256(path: Path) -> str:
-    """Hex digest of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def sha256(files: Sequence[Path]) -> str:
+    """Hex digest of a file, or of several with their names, wherever they lie. Raises InputError."""
+    digests = [(path.name, _digest(path)) for path in files]
+    if len(digests) == 1:
+        return digests[0][1]
+    lines = sorted(f"{name} {digest}\n" for name, digest in digests)
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def provenance(device: str, render_device: str, **files: Path) -> dict[str, Any]:
-    """Versions of everything that computes, and digests of `files` by name.
+def _digest(path: Path) -> str:
+    total = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                total.update(block)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    return total.hexdigest()
+
+
+def provenance(
+    device: str,
+    render_device: str,
+    perception: Mapping[str, str],
+    packages: Iterable[str] = (),
+    **files: Sequence[Path],
+) -> dict[str, Any]:
+    """Versions of everything that computes, and digests of `files` by name, where there are any.
 
     `device` is what maps are trained on, from `splat.device_name`; `render_device` what the tabletop world
-    is rendered on.
+    is rendered on; `perception` what segmenter and encoder run on; `packages` the distributions they need.
     """
-    packages = {}
-    for name in _PACKAGES:
+    versions = {}
+    for name in dict.fromkeys((*_PACKAGES, *packages)):
         try:
-            packages[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            packages[name] = "unknown"
+            versions[name] = "unknown"
     return {
         "fuse_grounding": _core.__version__,
         **_git(),
@@ -58,6 +81,7 @@ def provenance(device: str, render_device: str, **files: Path) -> dict[str, Any]
         "simd_level": _core.simd_level,
         "device": device,
         "render_device": render_device,
-        "packages": packages,
-        "sha256": {name: sha256(path) for name, path in files.items() if path.exists()},
+        "perception": dict(perception),
+        "packages": versions,
+        "sha256": {name: sha256(paths) for name, paths in files.items() if paths},
     }

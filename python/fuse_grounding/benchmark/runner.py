@@ -72,6 +72,7 @@ def _outcome(grounded: Grounded) -> Row:
         "instance_score": result.instance_score,
         "candidates": [c.label for c in record.candidates],
         "candidates_unknown": [c.label for c in record.candidates_unknown],
+        "candidates_replaced": {r.proposed: r.label for r in record.candidates_replaced},
         "knowledge": record.knowledge,
         "online_actions": result.online_actions,
         "observations": result.observations,

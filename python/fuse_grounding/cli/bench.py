@@ -16,7 +16,7 @@ from fuse_grounding.benchmark.methods import METHODS
 from fuse_grounding.benchmark.runner import run_benchmark
 from fuse_grounding.benchmark.store import RESULTS, ResultStore
 from fuse_grounding.cli.console import print_json
-from fuse_grounding.cli.run import configure
+from fuse_grounding.cli.run import OpenVocabulary, Segmenter, Weights, configure
 from fuse_grounding.environment import load_episodes
 from fuse_grounding.errors import InputError
 
@@ -29,6 +29,9 @@ def command(
     methods: Annotated[str, typer.Option(help="Names, separated by commas.")] = "static,random,explicit",
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N episodes.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where --out stopped.")] = False,
+    segmenter: Segmenter = None,
+    weights: Weights = None,
+    open_vocabulary: OpenVocabulary = None,
     config: Annotated[Path | None, typer.Option(help="TOML file with settings.")] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="One setting: section.key=value. Repeatable.")
@@ -39,7 +42,13 @@ def command(
     names = [METHODS.get(name.strip()).name for name in methods.split(",") if name.strip()]
     if not names:
         raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
-    settings = configure(config, overrides or [])
+    settings = configure(
+        config,
+        overrides or [],
+        segmenter__name=segmenter,
+        segmenter__weights=weights,
+        knowledge__open_vocabulary=open_vocabulary,
+    )
     chosen = load_episodes(episodes)[:limit]
     if not chosen:
         raise InputError(f"{episodes} has no episodes")

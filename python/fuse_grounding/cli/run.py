@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -18,10 +19,27 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.record import EpisodeRecord
 from fuse_grounding.runfolder import RunFolder, check, prepare
 
+Segmenter = Annotated[
+    str | None,
+    typer.Option(help="embedded, sam3, clip_patches or package.module:Class; default: embedded."),
+]
+Weights = Annotated[Path | None, typer.Option(help="Checkpoint folder or file of the segmenter.")]
+OpenVocabulary = Annotated[
+    str | None,
+    typer.Option(
+        help="What becomes of labels that the segmenter does not know: leave_out (default), nearest."
+    ),
+]
 
-def configure(path: Path | None, overrides: list[str], **choices: str | None) -> Config:
+
+def configure(path: Path | None, overrides: list[str], **choices: str | Path | None) -> Config:
     """The configuration file, then `--set`, then the named options. Raises InputError."""
-    named = [f"{key.replace('__', '.')}={value}" for key, value in choices.items() if value is not None]
+    named = []
+    for key, value in choices.items():
+        if value is not None:
+            # A path is a string whatever it looks like; other values are read as `--set` reads them.
+            text = json.dumps(str(value)) if isinstance(value, Path) else value
+            named.append(f"{key.replace('__', '.')}={text}")
     return Config.load(path, [*overrides, *named])
 
 
@@ -38,7 +56,9 @@ def command(
     scene: Annotated[str | None, typer.Option(help="Scene configuration (fuse episodes lists them).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     method: Annotated[str | None, typer.Option(help="How to search; default: fuse.")] = None,
-    segmenter: Annotated[str | None, typer.Option(help="What finds candidates; default: embedded.")] = None,
+    segmenter: Segmenter = None,
+    weights: Weights = None,
+    open_vocabulary: OpenVocabulary = None,
     capture: Annotated[
         Path | None,
         typer.Option(help="Folder of photos to search instead of a made scene (docs/capture.md)."),
@@ -74,6 +94,8 @@ def command(
         overrides or [],
         method=method,
         segmenter__name=segmenter,
+        segmenter__weights=weights,
+        knowledge__open_vocabulary=open_vocabulary,
         knowledge__source=source,
         registration__backend=registration,
     )

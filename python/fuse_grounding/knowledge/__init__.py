@@ -8,22 +8,32 @@ from fuse_grounding.config import KnowledgeConfig
 from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.direct import Direct
 from fuse_grounding.knowledge.graph import Graph
+from fuse_grounding.knowledge.nearest import Nearest
 from fuse_grounding.knowledge.oracle import Oracle
 from fuse_grounding.knowledge.protocol import Candidate, Hypotheses, KnowledgeSource, Query
 from fuse_grounding.knowledge.query import understand
+from fuse_grounding.knowledge.vocabulary import OpenVocabulary
+from fuse_grounding.perception.lexical import Lexical
+from fuse_grounding.perception.protocol import TextEncoder
 from fuse_grounding.registry import Registry
 
 __all__ = ["SOURCES", "Candidate", "Hypotheses", "KnowledgeSource", "Query", "make", "parse"]
 
-SOURCES: Registry[Callable[[KnowledgeConfig], KnowledgeSource]] = Registry("knowledge source")
-SOURCES.add("graph", lambda config: Graph(shipped(), config.top_k))
-SOURCES.add("oracle", lambda config: Oracle(config.oracle))
-SOURCES.add("direct", lambda config: Direct(shipped()))
+SOURCES: Registry[Callable[[KnowledgeConfig, Nearest], KnowledgeSource]] = Registry("knowledge source")
+SOURCES.add("graph", lambda config, nearest: Graph(shipped(), config.top_k))
+SOURCES.add("oracle", lambda config, nearest: Oracle(config.oracle))
+SOURCES.add("direct", lambda config, nearest: Direct(nearest))
 
 
-def make(config: KnowledgeConfig) -> KnowledgeSource:
-    """The configured source. Raises InputError for an unknown name."""
-    return SOURCES.get(config.source)(config)
+def make(config: KnowledgeConfig, encoder: TextEncoder | None = None) -> KnowledgeSource:
+    """The configured source. Raises InputError for an unknown name.
+
+    Where a label has to be replaced by the nearest known one, `encoder` says what is near; without one,
+    `Lexical`.
+    """
+    nearest = Nearest(shipped(), encoder or Lexical())
+    source = SOURCES.get(config.source)(config, nearest)
+    return OpenVocabulary(source, nearest) if config.open_vocabulary == "nearest" else source
 
 
 def parse(text: str) -> Query:

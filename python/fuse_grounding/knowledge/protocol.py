@@ -26,16 +26,29 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Replacement:
+    """A proposed label that became `label`, near to it through `words` by the text encoder of that name."""
+
+    proposed: str
+    label: str
+    words: str
+    similarity: float
+    encoder: str
+
+
+@dataclass(frozen=True)
 class Hypotheses:
     """Candidates, best first, and what a reader must know about how they came about.
 
-    `unknown` were proposed and left out, because the segmenter does not know them (`knowledge.vocabulary`).
+    `unknown` were proposed and left out, because the segmenter does not know them; `replaced` were
+    proposed in other words (`knowledge.vocabulary`).
     """
 
     source: str
     candidates: tuple[Candidate, ...]
     announcements: tuple[str, ...] = ()
     unknown: tuple[Candidate, ...] = ()
+    replaced: tuple[Replacement, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:

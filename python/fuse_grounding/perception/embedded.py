@@ -17,17 +17,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from fuse_grounding.errors import InputError
-from fuse_grounding.perception import crops
+from fuse_grounding.perception import crops, onnx
+from fuse_grounding.perception.prompts import check_labels, check_picture
 from fuse_grounding.perception.protocol import Detection
 
 SCHEMA_VERSION = 2
 DEFAULT_PATH = Path(__file__).resolve().parent.parent / "weights" / "segmenter.onnx"
-SMALLEST = 32
 # Objects of one picture that are looked at again, best first; there are rarely so many.
 MOST = 24
+_INPUT, _OUTPUTS = "image", ("heat", "verdict", "masks")
+_CROPS, _LOGITS = ("crops", "geometry"), ("logits",)
 
 
 @dataclass(frozen=True)
@@ -134,25 +135,14 @@ def _enlarge(logits: np.ndarray, mask: np.ndarray) -> None:
     mask[top * y_times : bottom * y_times, left * x_times : right * x_times] = part > 0
 
 
-def _session(
-    path: Path, weights: bytes, settings: Path, expected: str, threads: int
-) -> onnxruntime.InferenceSession:
-    """The network that `path` holds, whose hash `settings` says is `expected`."""
+def _verify(path: Path, weights: bytes, settings: Path, expected: str) -> None:
+    """Raises InputError unless `settings` says that the hash of the file `path` is this one's."""
     found = hashlib.sha256(weights).hexdigest()
     if found != expected:
         raise InputError(
             f"{path} is damaged or not the file that {settings.name} describes: "
             f"SHA-256 {found[:12]}… of {len(weights)} bytes, expected {expected[:12]}…"
         )
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-    # Idle threads must not take the processor from the Gaussian map.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
-    except Exception as e:
-        raise InputError(f"{path} is not a usable ONNX file: {e}") from e
 
 
 class EmbeddedSegmenter:
@@ -169,11 +159,14 @@ class EmbeddedSegmenter:
         weights, described = _read(weights_path), weights_path.with_suffix(".json")
         self._settings = _read_settings(described)
         hashes = self._settings.sha256
-        self._network = _session(weights_path, weights, described, hashes["network"], threads)
+        _verify(weights_path, weights, described, hashes["network"])
+        self._network = onnx.session(weights_path, [_INPUT], _OUTPUTS, threads, weights)
         self._second = None
         if "crops" in hashes:
-            second = crops_path(weights_path)
-            self._second = _session(second, _read(second), described, hashes["crops"], threads)
+            path = crops_path(weights_path)
+            weights = _read(path)
+            _verify(path, weights, described, hashes["crops"])
+            self._second = onnx.session(path, _CROPS, _LOGITS, threads, weights)
         self._cache: tuple[bytes, Candidates] | None = None
 
     @property
@@ -185,20 +178,14 @@ class EmbeddedSegmenter:
         """Instances of `labels` in `rgb` (H, W, 3) uint8, best score first.
 
         An object of which the network is unsure is returned for several labels, each with its own score;
-        scores below the threshold of the settings are left out. Masks are read-only. Raises InputError for
-        an unknown label and for a picture of the wrong shape or dtype.
+        scores below the threshold of the settings are left out. Masks are read-only. Raises
+        UnknownLabelError, and InputError for a picture of the wrong shape or dtype.
         """
         known = self._settings.labels
-        if isinstance(labels, str):
-            raise InputError(f"labels must be a sequence of labels, found the string `{labels}`")
-        for label in labels:
-            if label not in known:
-                raise InputError(
-                    f"the segmenter does not know the label `{label}`; it knows: {', '.join(known)}"
-                )
+        wanted = check_labels(labels, known)
         found = self.candidates(rgb)
         detections = []
-        for label in dict.fromkeys(labels):
+        for label in wanted:
             column = found.scores[:, known.index(label)]
             for i in np.nonzero(column >= self._settings.min_score)[0]:
                 detections.append(Detection(label, float(column[i]), found.masks[i]))
@@ -207,16 +194,7 @@ class EmbeddedSegmenter:
 
     def candidates(self, rgb: np.ndarray) -> Candidates:
         """Every object of `rgb` (H, W, 3) uint8, whatever it is; the last picture's are remembered."""
-        if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-            found = (
-                f"{rgb.dtype} array of shape {rgb.shape}"
-                if isinstance(rgb, np.ndarray)
-                else type(rgb).__name__
-            )
-            raise InputError(f"rgb must be a (H, W, 3) uint8 array, found {found}")
-        if min(rgb.shape[:2]) < SMALLEST:
-            raise InputError(f"rgb must be at least {SMALLEST} pixels wide and high, found shape {rgb.shape}")
-        rgb = np.ascontiguousarray(rgb)
+        rgb = check_picture(rgb)
         key = hashlib.blake2b(rgb.tobytes(), key=str(rgb.shape).encode()).digest()
         if self._cache is None or self._cache[0] != key:
             self._cache = (key, self._find(rgb))
@@ -230,7 +208,7 @@ class EmbeddedSegmenter:
         picture = np.full((s.size[1], s.size[0], 3), 127, np.uint8)
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         picture[: inner[1], : inner[0]] = cv2.resize(rgb, inner, interpolation=how)
-        heat, verdict, logits = self._network.run(None, {"image": picture[None]})
+        heat, verdict, logits = self._network.run(_OUTPUTS, {_INPUT: picture[None]})
         logits = logits[:, : max(1, inner[1] // 2), : max(1, inner[0] // 2)]
         inside = logits > 0
         area = np.count_nonzero(inside, axis=(1, 2))
@@ -258,7 +236,7 @@ class EmbeddedSegmenter:
             return np.zeros((len(masks), len(self.labels) + 1), np.float32)
         frames = [crops.frame_of(mask) for mask in masks]
         found: np.ndarray = self._second.run(
-            None,
+            _LOGITS,
             {
                 "crops": np.stack([crops.crop(rgb, m, f) for m, f in zip(masks, frames, strict=True)]),
                 "geometry": np.stack([f.geometry for f in frames]),
