@@ -5,23 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import onnx
 import torch
-from onnx import TensorProto, helper, numpy_helper
 
 from fuse_grounding.errors import InputError
 from fuse_grounding.perception.embedded import SCHEMA_VERSION, EmbeddedSegmenter
+from fuse_grounding.training.onnx_files import export
 from fuse_grounding.training.segmenter_data import Picture
 from fuse_grounding.training.segmenter_model import Exported, SegmenterNet
 from fuse_grounding.training.segmenter_score import correct, isotonic
 
-OPSET = 17
 CANDIDATES = 40
 MIN_HEAT = 0.05
 # Scores below this are not worth a detection.
@@ -32,39 +28,7 @@ def to_onnx(net: SegmenterNet, size: tuple[int, int]) -> bytes:
     """The whole network for pictures of `size` (width, height), weights stored as float16."""
     model = Exported(net, CANDIDATES, MIN_HEAT).eval()
     example = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        exported = Path(folder) / "network.onnx"
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            model,
-            (example,),
-            exported,
-            opset_version=OPSET,
-            input_names=["image"],
-            output_names=["heat", "verdict", "masks"],
-            dynamo=False,
-        )
-        graph = onnx.load(exported)
-    _halve(graph.graph)
-    onnx.checker.check_model(graph)
-    return graph.SerializeToString()
-
-
-def _halve(graph: onnx.GraphProto) -> None:
-    """Stores large float32 weights as float16 behind a cast, which the runtime folds when it loads."""
-    casts = []
-    for tensor in graph.initializer:
-        if tensor.data_type != TensorProto.FLOAT or np.prod(tensor.dims) < 256:
-            continue
-        name = tensor.name
-        half = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), name + "_half")
-        tensor.CopyFrom(half)
-        casts.append(
-            helper.make_node("Cast", [name + "_half"], [name], name=name + "_cast", to=TensorProto.FLOAT)
-        )
-    nodes = [*casts, *graph.node]
-    del graph.node[:]
-    graph.node.extend(nodes)
+    return export(model, (example,), ["image"], ["heat", "verdict", "masks"])
 
 
 def write(path: Path, weights: bytes, labels: tuple[str, ...], size: tuple[int, int], training: dict) -> None:
