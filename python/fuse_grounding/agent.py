@@ -307,6 +307,8 @@ class Session:
             detections=view.detections,
             camera=view.viewpoint.camera,
             scene=None if self.spatial is None else self.spatial.map,
+            depth=view.observation.depth,
+            pitch_index=view.observation.pitch_index,
         )
 
     def _move(self, decision: Decision, action: int) -> Move:

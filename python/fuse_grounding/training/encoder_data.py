@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fuse_grounding.environment import TabletopEnvironment, load_episodes
+from fuse_grounding.environment import TabletopEnvironment
+from fuse_grounding.environment.sets import plan_of, planned_episode
 from fuse_grounding.perception.embedded_encoder import STRIDE, letterbox
 from fuse_grounding.training.encoder_model import CELLS
 from fuse_grounding.training.segmenter_data import SHARD, Picture, Shards, augment
 
-VIEWS = 8
+VIEWS = 32
 """Pictures of one laid table in a shard."""
 WHOLE, WINDOW = 0.35, 0.2
 """Shares of whole pictures and of random windows; the rest are crops of one object."""
@@ -36,13 +37,12 @@ class Sample:
     cells: np.ndarray  # (12, labels) float32, 1 where the label is in the cell
 
 
-def scene_pictures(split: str, seed: int, count: int) -> list[Picture]:
-    """`count` views of laid tables of the set `split`, chosen by `seed`: pictures, ids, objects."""
+def scene_pictures(name: str, seed: int, count: int) -> list[Picture]:
+    """`count` views of laid tables of the set `name`, chosen by `seed`: pictures, ids, objects."""
     rng = np.random.default_rng(seed)
-    episodes = load_episodes(split, validate=False)
     pictures: list[Picture] = []
     while len(pictures) < count:
-        environment = TabletopEnvironment(episodes[int(rng.integers(len(episodes)))])
+        environment = TabletopEnvironment(planned_episode(name, int(rng.integers(plan_of(name).count))))
         kinds = environment.episode.categories
         for _ in range(min(VIEWS, count - len(pictures))):
             seen = environment.render_at(int(rng.integers(36)), int(rng.integers(3)))
