@@ -13,7 +13,10 @@ from fuse_grounding.environment import render_device
 from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
 from fuse_grounding.perception.embedded import DEFAULT_PATH, EmbeddedSegmenter
+from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
+from fuse_grounding.perception.patches import PatchSegmenter
 from fuse_grounding.perception.protocol import Segmenter
+from fuse_grounding.planning.amortized import planner_files
 from fuse_grounding.planning.explicit import evidence_maps
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
 from fuse_grounding.registry import Registry
@@ -27,7 +30,14 @@ def _embedded(config: SegmenterConfig) -> tuple[Segmenter, Path]:
     return EmbeddedSegmenter(weights), weights
 
 
+def _embedded_patches(config: SegmenterConfig) -> tuple[Segmenter, Path]:
+    encoder = EmbeddedEncoder(config.weights)
+    known = encoder.settings
+    return PatchSegmenter(encoder, [*known.labels, known.background], known.scale), encoder.path
+
+
 SEGMENTERS.add("embedded", _embedded)
+SEGMENTERS.add("embedded_patches", _embedded_patches)
 
 
 def make_registrar(config: RegistrationConfig) -> PointRegistrar:
@@ -45,8 +55,8 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     method, config = resolve(config)
     source = knowledge.make(config.knowledge)
     make_segmenter = SEGMENTERS.get(config.segmenter.name)
-    # What cannot run says so before anything is loaded.
-    method.policy(config, 0)
+    # What cannot run says so before anything else is loaded.
+    plans = method.policy(config, 0).planner not in (None, "none")
     announcements = mapping.check(config.map) if method.maps else []
     rendered_on = render_device(config.render.device)
     if config.render.device != "cpu":
@@ -77,7 +87,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
             device,
             rendered_on,
             segmenter=weights,
-            **({} if config.gate.planner is None else {"planner": config.gate.planner}),
+            **(planner_files(config) if plans else {}),
         ),
         announcements=announcements,
     )

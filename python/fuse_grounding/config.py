@@ -65,8 +65,23 @@ class GateConfig(Section):
     """Normalised entropy up to which the amortised branch decides. Supplement, "Confidence Gate"."""
     temperature: Positive = 0.1
     """Softmax temperature. Supplement, "Confidence Gate" (the text says 1, at which the gate never opens)."""
-    planner: Path | None = None
-    """Weights of the amortised planner; none ships yet, so that every decision is explicit."""
+
+
+class PlannerConfig(Section):
+    """The learned planner of `amortized` and `fuse`."""
+
+    name: Literal["plain", "extended", "none"] = "plain"
+    """`plain`: picture, object, action (supplement, "Amortized Planner Architecture"); `extended`: also pitch and
+    where the candidates are in the picture, ours; `none`: every decision of `fuse` is explicit."""
+    weights: Path | None = None
+    """Another ONNX file of the same kind; none: the shipped one."""
+
+
+class EncoderConfig(Section):
+    """Pictures and labels as vectors, for the learned planner."""
+
+    weights: Path | None = None
+    """Another encoder.onnx with its files beside it; none: the shipped one. The paper uses CLIP ViT-B/16."""
 
 
 class StoppingConfig(Section):
@@ -232,6 +247,8 @@ class Config(Section):
     camera: CameraConfig = CameraConfig()
     budget: BudgetConfig = BudgetConfig()
     gate: GateConfig = GateConfig()
+    planner: PlannerConfig = PlannerConfig()
+    encoder: EncoderConfig = EncoderConfig()
     stopping: StoppingConfig = StoppingConfig()
     ssnr: SsnrConfig = SsnrConfig()
     explicit: ExplicitConfig = ExplicitConfig()

@@ -21,7 +21,8 @@ IDENTITY_VERSION = 1
 RUNTIME_SETTINGS = {
     "method": "each result names its own, and a resumed benchmark may add some",
     "segmenter.weights": "where the file lies; its bytes count, under `weights`",
-    "gate.planner": "where the file lies; its bytes count, under `weights`",
+    "planner.weights": "where the file lies; its bytes count, under `weights`",
+    "encoder.weights": "where the file lies; its bytes count, under `weights`",
     "map.device": "what was wished for; what was taken counts, under `device`",
     "render.device": "what was wished for; what was taken counts, under `render_device`",
 }

@@ -11,6 +11,7 @@ from rich.console import Console
 from fuse_grounding import _core
 from fuse_grounding.cli.console import writable_folder
 from fuse_grounding.cli.train_encoder import encoder
+from fuse_grounding.cli.train_planner import planner
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
 from fuse_grounding.perception.embedded import DEFAULT_PATH
@@ -18,6 +19,7 @@ from fuse_grounding.perception.embedded import DEFAULT_PATH
 app = typer.Typer(help="Make the weights that ship.", no_args_is_help=True)
 
 app.command()(encoder)
+app.command()(planner)
 
 # Seeds of shards: training counts up from the user's seed; what calibrates lies far away from it.
 CALIBRATION_SEED = 1_000_000

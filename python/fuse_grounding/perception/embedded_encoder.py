@@ -33,13 +33,14 @@ GREY = 127
 
 @dataclass(frozen=True)
 class Settings:
-    """What `encoder.json` says: input size (width, height), labels trained on, and the scale that turns cosines
-    of patches into logits."""
+    """What `encoder.json` says: input size (width, height), labels trained on, the scale that turns cosines of
+    patches into logits, the phrase for what is no object, and the digests of `network` and `text`."""
 
     size: tuple[int, int]
     labels: tuple[str, ...]
     scale: float
     background: str
+    sha256: dict[str, str]
 
 
 class TextTable:
@@ -107,7 +108,7 @@ class EmbeddedEncoder:
     def __init__(self, path: str | Path | None = None, threads: int = 2) -> None:
         if not isinstance(threads, int) or threads < 1:
             raise InputError(f"threads must be a whole number from 1, found {threads!r}")
-        self.path = DEFAULT_PATH if path is None else Path(path)
+        self.path = self.located(path)
         self.settings, weights = read_settings(self.path)
         self.text = TextTable(self.path.with_suffix(".safetensors"))
         self.dimensions = self.text.dimensions
@@ -125,6 +126,11 @@ class EmbeddedEncoder:
         except Exception as error:
             raise InputError(f"{self.path} is not a usable ONNX file: {error}") from None
         self._cache: tuple[bytes, np.ndarray, np.ndarray] | None = None
+
+    @staticmethod
+    def located(path: str | Path | None) -> Path:
+        """The ONNX file that `path` stands for."""
+        return DEFAULT_PATH if path is None else Path(path)
 
     def _check_graph(self) -> None:
         width, height = self.settings.size
@@ -194,17 +200,17 @@ def read_settings(path: Path) -> tuple[Settings, bytes]:
             labels=tuple(str(label) for label in d["labels"]),
             scale=float(d["scale"]),
             background=str(d["background"]),
+            sha256={name: str(d["sha256"][name]) for name in ("network", "text")},
         )
-        expected = {"network": str(d["sha256"]["network"]), "text": str(d["sha256"]["text"])}
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{beside} is not an encoder's settings file: {type(error).__name__} {error}") from None
     for name, file in (("network", path), ("text", table)):
         found = hashlib.sha256(contents[name]).hexdigest()
-        if found != expected[name]:
+        if found != settings.sha256[name]:
             raise InputError(
                 f"{file} is damaged or not the file that {beside.name} describes: "
-                f"SHA-256 {found[:12]}… of {len(contents[name])} bytes, expected {expected[name][:12]}…"
+                f"SHA-256 {found[:12]}… of {len(contents[name])} bytes, expected {settings.sha256[name][:12]}…"
             )
     return settings, contents["network"]

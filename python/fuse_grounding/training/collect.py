@@ -246,7 +246,12 @@ def _join(out: Path, plan: dict[str, Any], paths: list[Path], run: dict[str, Any
     if not parts:
         raise InputError(f"no trajectory was made: {left_out}")
     whole = transitions.joined(parts)
-    note = {"labels": plan["labels"], "split": plan["request"]["split"], "trajectories": walked}
+    note = {
+        "labels": plan["labels"],
+        "split": plan["request"]["split"],
+        "encoder": {"network": plan["weights"]["encoder"], "text": plan["weights"]["encoder_text"]},
+        "trajectories": walked,
+    }
     content = whole.encode(note)
     tensors.write(out / RESULT, content)
     tensors.write(out / CARD, json.dumps(_card(whole, plan, left_out, content, run), indent=1) + "\n")
