@@ -71,6 +71,8 @@ def command(
         return
     console = Console(soft_wrap=True, highlight=False, markup=False)
     size = made.path.stat().st_size / 1e6
-    console.print(f"{made.path}: {made.transitions} transitions of {made.trajectories} trajectories, {size:.1f} MB")
+    console.print(
+        f"{made.path}: {made.transitions} transitions of {made.trajectories} trajectories, {size:.1f} MB"
+    )
     for why, count in made.left_out.items():
         console.print(f"left out: {count} trajectories ({why})")

@@ -30,9 +30,7 @@ def encoder(
     ] = 1536,
     steps: Annotated[int, typer.Option(min=1, help="Training steps of 16 pictures.")] = 2400,
     threads: Annotated[int, typer.Option(min=1, help="Threads; the last bits depend on their number.")] = 2,
-    seed: Annotated[
-        int, typer.Option(min=0, max=SCENE_SEED // 2, help="Seed of pictures and training.")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=SCENE_SEED // 2, help="Seed of pictures and training.")] = 0,
 ) -> None:
     """Distil the text table, render pictures of training objects, train, export `encoder.onnx`."""
     if render + scenes == 0:
@@ -95,4 +93,6 @@ def encoder(
     export.write(
         target, run.averaged(), table.read_bytes(), labels, config.size, training.BACKGROUND, described
     )
-    console.print(f"{target}: {target.stat().st_size / 1e6:.1f} MB, {table.stat().st_size / 1e6:.1f} MB of text")
+    console.print(
+        f"{target}: {target.stat().st_size / 1e6:.1f} MB, {table.stat().st_size / 1e6:.1f} MB of text"
+    )

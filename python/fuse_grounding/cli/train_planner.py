@@ -19,9 +19,7 @@ from fuse_grounding.training import transitions
 
 
 def planner(
-    source: Annotated[
-        Path, typer.Option("--transitions", help="transitions.safetensors of `fuse collect`.")
-    ],
+    source: Annotated[Path, typer.Option("--transitions", help="transitions.safetensors of `fuse collect`.")],
     out: Annotated[Path, typer.Option(help="Folder for the weights; with --evaluate, for figures and plot.")],
     kind: Annotated[str, typer.Option(help="plain, extended, or both.")] = "both",
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, start and order.")] = 0,
@@ -95,8 +93,12 @@ def _evaluate(
     console = Console(soft_wrap=True, highlight=False, markup=False)
     for kind, one in figures.items():
         ranks, regret = one["rank_correlation"], one["regret"]
-        console.print(f"{kind}: {one['states']} states of {one['trajectories']} trajectories ({note['split']})")
-        console.print(f"  rank correlation  {ranks['within_states']} within states, {ranks['all_pairs']} over all")
+        console.print(
+            f"{kind}: {one['states']} states of {one['trajectories']} trajectories ({note['split']})"
+        )
+        console.print(
+            f"  rank correlation  {ranks['within_states']} within states, {ranks['all_pairs']} over all"
+        )
         for name in ("top", "random", "stay"):
             console.print(f"  regret of {name:<7} {_with_interval(regret[name])}")
         for name in ("random", "stay"):

@@ -117,9 +117,7 @@ class EmbeddedEncoder:
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
         try:
-            self._session = onnxruntime.InferenceSession(
-                weights, options, providers=["CPUExecutionProvider"]
-            )
+            self._session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
             self._check_graph()
         except InputError:
             raise
@@ -205,7 +203,9 @@ def read_settings(path: Path) -> tuple[Settings, bytes]:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{beside} is not an encoder's settings file: {type(error).__name__} {error}") from None
+        raise InputError(
+            f"{beside} is not an encoder's settings file: {type(error).__name__} {error}"
+        ) from None
     for name, file in (("network", path), ("text", table)):
         found = hashlib.sha256(contents[name]).hexdigest()
         if found != settings.sha256[name]:

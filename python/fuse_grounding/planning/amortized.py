@@ -61,9 +61,7 @@ class Network:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3
         try:
-            self._session = onnxruntime.InferenceSession(
-                weights, options, providers=["CPUExecutionProvider"]
-            )
+            self._session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
         except Exception as error:
             raise InputError(f"{path} is not a usable ONNX file: {error}") from None
         size = self.settings.dimensions
@@ -188,14 +186,18 @@ def _read(path: Path) -> tuple[Settings, bytes]:
         d: dict[str, Any] = json.loads(contents[1])
         if d["schema_version"] != SCHEMA_VERSION:
             raise InputError(f"{beside} has schema version {d['schema_version']}, expected {SCHEMA_VERSION}")
-        settings = Settings(str(d["kind"]), int(d["dimensions"]), {k: str(v) for k, v in d["encoder"].items()})
+        settings = Settings(
+            str(d["kind"]), int(d["dimensions"]), {k: str(v) for k, v in d["encoder"].items()}
+        )
         expected = str(d["sha256"])
         if settings.kind not in KINDS:
             raise InputError(f"{beside}: `kind` must be {' or '.join(KINDS)}, found `{settings.kind}`")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{beside} is not a planner's settings file: {type(error).__name__} {error}") from None
+        raise InputError(
+            f"{beside} is not a planner's settings file: {type(error).__name__} {error}"
+        ) from None
     found = hashlib.sha256(contents[0]).hexdigest()
     if found != expected:
         raise InputError(

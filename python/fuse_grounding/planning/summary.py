@@ -55,7 +55,14 @@ def _described(detection: Detection, situation: Situation, config: Config) -> li
     sides = (mask[:, :BORDER], mask[:, -BORDER:], mask[:BORDER], mask[-BORDER:])
     size = float(np.sqrt(scored.pixels / mask.size))
     middle = _middle(mask)
-    return [detection.score, *middle, size, depth, scored.fused or 0.0, *(float(side.any()) for side in sides)]
+    return [
+        detection.score,
+        *middle,
+        size,
+        depth,
+        scored.fused or 0.0,
+        *(float(side.any()) for side in sides),
+    ]
 
 
 def _middle(mask: np.ndarray) -> tuple[float, float]:

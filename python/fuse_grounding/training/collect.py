@@ -83,7 +83,9 @@ class _Worker:
         """The part's bytes."""
         episode, rng = self.episode(number), np.random.default_rng([self.request.seed, number])
         if not self.prober.candidates(episode):
-            return tensors.encode("left out", transitions.SCHEMA_VERSION, {}, {"why": "no candidate is known"})
+            return tensors.encode(
+                "left out", transitions.SCHEMA_VERSION, {}, {"why": "no candidate is known"}
+            )
         if self.request.states:
             walk = self.prober.survey(number, episode, self.request.states, rng)
         else:
@@ -133,7 +135,9 @@ def collect(
         done += 1
         tell(done, request.trajectories)
     seconds = time.perf_counter() - began
-    return _join(out, plan, paths, {"jobs": jobs, "made": len(missing), "last_run_seconds": round(seconds, 1)})
+    return _join(
+        out, plan, paths, {"jobs": jobs, "made": len(missing), "last_run_seconds": round(seconds, 1)}
+    )
 
 
 def card(out: Path) -> dict[str, Any]:
@@ -188,7 +192,9 @@ def _plan(request: Request) -> dict[str, Any]:
         "request": asked,
         "labels": list(labels()),
         "weights": prober.parts.provenance["sha256"] | {name: sha256(path) for name, path in files.items()},
-        "versions": {k: prober.parts.provenance[k] for k in ("fuse_grounding", "simd_level", "device", "packages")},
+        "versions": {
+            k: prober.parts.provenance[k] for k in ("fuse_grounding", "simd_level", "device", "packages")
+        },
     }
 
 
@@ -206,7 +212,9 @@ def _open(out: Path, plan: dict[str, Any], resume: bool) -> None:
         raise InputError(f"output directory {out} cannot be written: {error.strerror}") from None
     if not where.exists():
         if any((out / PARTS).iterdir()):
-            raise InputError(f"{where} is missing; the parts beside it cannot be resumed, choose another --out")
+            raise InputError(
+                f"{where} is missing; the parts beside it cannot be resumed, choose another --out"
+            )
         tensors.write(where, json.dumps(plan, indent=1) + "\n")
 
 
@@ -219,7 +227,9 @@ def _same(where: Path, plan: dict[str, Any]) -> None:
         found = there.get(key) if isinstance(there, dict) else None
         if found != value:
             differing = _first_difference(found, value, key)
-            raise InputError(f"{where.parent} keeps parts of another collection ({differing}); choose another --out")
+            raise InputError(
+                f"{where.parent} keeps parts of another collection ({differing}); choose another --out"
+            )
 
 
 def _first_difference(found: Any, wanted: Any, key: str) -> str:
@@ -287,7 +297,9 @@ def _card(
                 "mean": round(float(whole.terms[:, i].mean()), 5),
                 "std": round(float(whole.terms[:, i].std()), 5),
             }
-            for i, (name, weight) in enumerate(zip(transitions.TERMS, transitions.UTILITY_WEIGHTS, strict=True))
+            for i, (name, weight) in enumerate(
+                zip(transitions.TERMS, transitions.UTILITY_WEIGHTS, strict=True)
+            )
         },
         "utility": {
             "mean": round(float(whole.utility.mean()), 5),

@@ -117,8 +117,8 @@ class EncoderNet(nn.Module):
 
 def _cells(x: Tensor) -> Tensor:
     """(B, C, h, w) → (B, C, 3, 4): means over the cells; h and w are multiples of 3 and 4."""
-    h, w = x.shape[-2] // CELLS[1], x.shape[-1] // CELLS[0]
-    return F.avg_pool2d(x, (h, w))
+    # Whole numbers even while the network is traced: a pooling window is no input of it.
+    return F.avg_pool2d(x, (int(x.shape[-2]) // CELLS[1], int(x.shape[-1]) // CELLS[0]))
 
 
 class Exported(nn.Module):

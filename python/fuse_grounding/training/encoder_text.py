@@ -34,12 +34,18 @@ class Layer(nn.Module):
         super().__init__()
         self.heads = heads
         self.query, self.key, self.value = (nn.Linear(width, width) for _ in range(3))
-        self.out, self.up, self.down = nn.Linear(width, width), nn.Linear(width, inner), nn.Linear(inner, width)
+        self.out, self.up, self.down = (
+            nn.Linear(width, width),
+            nn.Linear(width, inner),
+            nn.Linear(inner, width),
+        )
         self.norm1, self.norm2 = nn.LayerNorm(width, 1e-12), nn.LayerNorm(width, 1e-12)
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """(B, L, width), (B, L) bool → (B, L, width)."""
-        split = [m(x).unflatten(2, (self.heads, -1)).transpose(1, 2) for m in (self.query, self.key, self.value)]
+        split = [
+            m(x).unflatten(2, (self.heads, -1)).transpose(1, 2) for m in (self.query, self.key, self.value)
+        ]
         seen = F.scaled_dot_product_attention(*split, attn_mask=mask[:, None, None])
         x = self.norm1(x + self.out(seen.transpose(1, 2).flatten(2)))
         return self.norm2(x + self.down(F.gelu(self.up(x))))
@@ -53,14 +59,17 @@ class Teacher(nn.Module):
         folder = resources.files(PACKAGE) / "model"
         config = json.loads((folder / "config.json").read_text())
         width, self.depth = config["hidden_size"], config["num_hidden_layers"]
-        self.vocabulary = (folder / "vocab.txt").read_text(encoding="utf-8").split("\n")[: config["vocab_size"]]
+        self.vocabulary = (
+            (folder / "vocab.txt").read_text(encoding="utf-8").split("\n")[: config["vocab_size"]]
+        )
         self.tokens = WordPiece(self.vocabulary)
         self.words = nn.Embedding(config["vocab_size"], width)
         self.places = nn.Embedding(config["max_position_embeddings"], width)
         self.types = nn.Embedding(config["type_vocab_size"], width)
         self.norm = nn.LayerNorm(width, 1e-12)
         self.layers = nn.ModuleList(
-            Layer(width, config["num_attention_heads"], config["intermediate_size"]) for _ in range(self.depth)
+            Layer(width, config["num_attention_heads"], config["intermediate_size"])
+            for _ in range(self.depth)
         )
         self._load(load_tensors((folder / "model.safetensors").read_bytes()))
         self.eval()

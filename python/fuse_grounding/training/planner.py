@@ -89,7 +89,9 @@ class Exported(nn.Module):
         every = torch.arange(ACTIONS)
         shape = (ACTIONS, -1)
         seen = torch.zeros(1, 0) if summary is None else summary
-        return self.net(image.expand(shape), context.expand(shape), seen.expand(ACTIONS, seen.shape[1]), every)
+        return self.net(
+            image.expand(shape), context.expand(shape), seen.expand(ACTIONS, seen.shape[1]), every
+        )
 
 
 @dataclass(frozen=True)

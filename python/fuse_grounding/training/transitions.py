@@ -123,7 +123,9 @@ def load(path: Path) -> tuple[Transitions, dict[str, Any]]:
     for name, count in bounds:
         values = arrays[name]
         if values.size and not (values.min() >= 0 and values.max() < count):
-            raise InputError(f"{path}: `{name}` must be from 0 to {count - 1}, found {values.min()} to {values.max()}")
+            raise InputError(
+                f"{path}: `{name}` must be from 0 to {count - 1}, found {values.min()} to {values.max()}"
+            )
     for name in ("feature", "texts", "summary", "levels", "terms", "utility"):
         if not np.isfinite(arrays[name]).all():
             raise InputError(f"{path}: `{name}` has values that are not finite")
@@ -140,7 +142,12 @@ def joined(parts: list[Transitions]) -> Transitions:
     trajectories = np.cumsum([0, *(len(p.number) for p in parts)])
     shift = {"before": states, "after": states, "trajectory": trajectories}
     columns = {
-        name: np.concatenate([getattr(p, name) + shift[name][i] if name in shift else getattr(p, name) for i, p in enumerate(parts)])
+        name: np.concatenate(
+            [
+                getattr(p, name) + shift[name][i] if name in shift else getattr(p, name)
+                for i, p in enumerate(parts)
+            ]
+        )
         for name in _COLUMNS
         if name != "texts"
     }
