@@ -26,10 +26,6 @@ class PointRegistrar(Registrar, Protocol):
         """Ids (N,) int64, never given twice; positions (N, 3) metres; colours (N, 3) uint8."""
         ...
 
-    def fork(self) -> PointRegistrar:
-        """A twin that goes its own way from here. Raises InputError where that cannot be."""
-        ...
-
 
 def check(config: MapConfig) -> list[str]:
     """What a reader of the record must know of the device that `config` takes.

@@ -238,7 +238,10 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             "cannot read the segmenter's settings",
         ),
         ("run cut --set segmenter.weights=folder --out o", "cannot read the segmenter's weights folder"),
-        ("run cut --set gate.planner=nowhere --out o", "planner weights nowhere"),
+        (
+            "run cut --set planner.weights=nowhere --out o",
+            "planner weights nowhere (planner.weights) do not exist",
+        ),
         ("run cut --method static --out full", "output directory full exists and is not empty"),
         ("run cut --method static --out file", "output directory file is a file"),
         ("run cut --method static --out file/below", "file/below cannot be written: Not a directory"),

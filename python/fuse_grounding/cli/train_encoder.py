@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -51,7 +52,7 @@ def encoder(
     from fuse_grounding.training import encoder_export as export
     from fuse_grounding.training import encoder_text as texts
     from fuse_grounding.training.encoder_model import INNER, rotation
-    from fuse_grounding.training.segmenter_data import Shards, write_shards
+    from fuse_grounding.training.segmenter_data import Picture, Shards, write_shards
 
     console = Console(soft_wrap=True, highlight=False, markup=False)
     categories = _core.object_categories()
@@ -62,19 +63,16 @@ def encoder(
         tensors.write(table, export.text_table(*texts.distil(console.print)))
     text = TextTable(table)
     folders = []
-    for name, count, render_shard, base in (
-        ("randomised", render, lambda s, n: _core.randomized_pictures(s, n), seed),
-        ("scenes", scenes, lambda s, n: pictures.scene_pictures("train", s, n), SCENE_SEED + seed),
-    ):
+
+    def have(name: str, count: int, render_shard: Callable[[int, int], list[Picture]], base: int) -> None:
         if count:
             write_shards(
-                data / name,
-                count,
-                render_shard,
-                base,
-                lambda done, name=name: console.print(f"{name}: {done} pictures"),
+                data / name, count, render_shard, base, lambda n: console.print(f"{name}: {n} pictures")
             )
             folders.append(Shards(data / name, labels))
+
+    have("randomised", render, lambda shard, n: _core.randomized_pictures(shard, n), seed)
+    have("scenes", scenes, lambda shard, n: pictures.scene_pictures("train", shard, n), SCENE_SEED + seed)
     config = training.TrainConfig(steps=steps, threads=threads, seed=seed)
     said = [*(label for _, label in categories), training.BACKGROUND]
     inner = rotation()[:, :INNER]

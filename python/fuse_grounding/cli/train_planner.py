@@ -27,7 +27,7 @@ def planner(
         bool,
         typer.Option(
             "--evaluate",
-            help="Train nothing: judge the planners in --weights on --transitions, where all actions are measured.",
+            help="Train nothing: judge planners on --transitions, where all actions are measured.",
         ),
     ] = False,
     weights: Annotated[
@@ -35,7 +35,7 @@ def planner(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON only.")] = False,
 ) -> None:
-    """Train the amortised planner (seconds), or judge one by rank correlation, regret and the gate's calibration."""
+    """Train the amortised planner (seconds), or judge one: ranks, regret, calibration of the gate."""
     kinds = KINDS if kind == "both" else (kind,)
     if not set(kinds) <= set(KINDS):
         raise InputError(f"--kind must be {', '.join(KINDS)} or both, found {kind}")

@@ -42,9 +42,8 @@ def gate(
 
     def tell(eta: float, row: Row) -> None:
         verdict = "success" if row["success"] else "-"
-        console.print(
-            f"eta {eta}  {row['episode_id']:<24} {verdict:<8} IoU {row['iou']:.3f}  {row['wall_seconds']:.1f} s"
-        )
+        told = f"{verdict:<8} IoU {row['iou']:.3f}  {row['wall_seconds']:.1f} s"
+        console.print(f"eta {eta}  {row['episode_id']:<24} {told}")
 
     result = tune(configure(config, overrides or []), load_episodes(episodes)[:limit], tell)
     tensors.write(out, json.dumps(result, indent=1) + "\n")

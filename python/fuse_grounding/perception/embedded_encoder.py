@@ -33,8 +33,8 @@ GREY = 127
 
 @dataclass(frozen=True)
 class Settings:
-    """What `encoder.json` says: input size (width, height), labels trained on, the scale that turns cosines of
-    patches into logits, the phrase for what is no object, and the digests of `network` and `text`."""
+    """What `encoder.json` says: input size (width, height), labels trained on, the scale that turns cosines
+    of patches into logits, the phrase for what is no object, and the digests of `network` and `text`."""
 
     size: tuple[int, int]
     labels: tuple[str, ...]
@@ -46,8 +46,9 @@ class Settings:
 class TextTable:
     """Vectors of word pieces: a text is their mean, of unit length, turned into the common space.
 
-    `path`: a safetensors file; `vocabulary` its pieces as UTF-8 lines, `table` (V, d) int8 with a `step` a row
-    (V,) float16, `projection` (D, d) float32 with orthonormal columns. Raises InputError for another file.
+    `path`: a safetensors file; `vocabulary` its pieces as UTF-8 lines, `table` (V, d) int8 with a `step` a
+    row (V,) float16, `projection` (D, d) float32 with orthonormal columns. Raises InputError for another
+    file.
     """
 
     def __init__(self, path: Path):
@@ -99,8 +100,8 @@ class TextTable:
 class EmbeddedEncoder:
     """The shipped encoder; implements `Encoder`.
 
-    `path`: an ONNX file with its .json and .safetensors beside it; the shipped one when None. Raises InputError
-    for files that are missing, damaged or do not belong together.
+    `path`: an ONNX file with its .json and .safetensors beside it; the shipped one when None. Raises
+    InputError for files that are missing, damaged or do not belong together.
     """
 
     name = "embedded"
@@ -167,7 +168,8 @@ class EmbeddedEncoder:
 
 
 def letterbox(rgb: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, tuple[int, int]]:
-    """The picture in the upper left of a grey one of `size` (width, height), as large as it fits; its size there."""
+    """The picture in the upper left of a grey one of `size` (width, height), as large as it fits; its size
+    there."""
     height, width = rgb.shape[:2]
     scale = min(size[0] / width, size[1] / height)
     inner = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -207,10 +209,10 @@ def read_settings(path: Path) -> tuple[Settings, bytes]:
             f"{beside} is not an encoder's settings file: {type(error).__name__} {error}"
         ) from None
     for name, file in (("network", path), ("text", table)):
-        found = hashlib.sha256(contents[name]).hexdigest()
-        if found != settings.sha256[name]:
+        found, wanted = hashlib.sha256(contents[name]).hexdigest(), settings.sha256[name]
+        if found != wanted:
             raise InputError(
                 f"{file} is damaged or not the file that {beside.name} describes: "
-                f"SHA-256 {found[:12]}… of {len(contents[name])} bytes, expected {settings.sha256[name][:12]}…"
+                f"SHA-256 {found[:12]}… of {len(contents[name])} bytes, expected {wanted[:12]}…"
             )
     return settings, contents["network"]

@@ -2,8 +2,8 @@
 
     p(label | patch) = softmax over labels and contrast of scale · ⟨patch, text⟩
 
-The map of a prompted label is enlarged to the picture; each connected region above the threshold is a detection,
-its score the mean of the map over it.
+The map of a prompted label is enlarged to the picture; each connected region above the threshold is a
+detection, its score the mean of the map over it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ MIN_PIXELS = 60
 class PatchSegmenter:
     """Regions where patches look like a label; implements `Segmenter` for any label.
 
-    `contrast`: what a patch may be instead, background included; prompted labels are added to it. `scale` turns
-    cosines into logits.
+    `contrast`: what a patch may be instead, background included; prompted labels are added to it. `scale`
+    turns cosines into logits.
     """
 
     labels: tuple[str, ...] | None = None

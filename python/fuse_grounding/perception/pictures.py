@@ -12,7 +12,8 @@ SMALLEST = 32
 
 
 def check_rgb(rgb: Any) -> np.ndarray:
-    """A contiguous (H, W, 3) uint8 array of at least 32 pixels either way. Raises InputError for anything else."""
+    """A contiguous (H, W, 3) uint8 array of at least 32 pixels either way. Raises InputError for anything
+    else."""
     if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
         found = (
             f"{rgb.dtype} array of shape {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__

@@ -2,9 +2,9 @@
 
     Q(x, a; o) = MLP([image(x), text(o), embedding(a)]),   1056 → 512 → 512 → 1
 
-o is the candidate whose text is most like the picture (supplement, "Amortized Planner Architecture"). The planner
-`extended` also reads `planning.summary`. `planner.onnx` holds all 15 actions at once; `planner.json` beside it says
-which kind it is, what it was trained on and with which encoder.
+o is the candidate whose text is most like the picture (supplement, "Amortized Planner Architecture"). The
+planner `extended` also reads `planning.summary`. `planner.onnx` holds all 15 actions at once; `planner.json`
+beside it says which kind it is, what it was trained on and with which encoder.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def shipped(kind: str) -> Path:
 
 @dataclass(frozen=True)
 class Settings:
-    """What `planner.json` says: the kind, the length of vectors, and the SHA-256 of the encoder's two files."""
+    """What `planner.json` says: the kind, the length of vectors, and the SHA-256 of the encoder's two
+    files."""
 
     kind: str
     dimensions: int

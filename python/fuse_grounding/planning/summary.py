@@ -2,8 +2,8 @@
 
     pitch (one of 3) | S averaged over 4×3 cells | best detection | second best | how many
 
-S is the semantic map of the candidates. The best detection is described by its score, its middle, its size, its
-depth, its grounding score and which borders of the picture it touches; absent things are zeros.
+S is the semantic map of the candidates. The best detection is described by its score, its middle, its size,
+its depth, its grounding score and which borders of the picture it touches; absent things are zeros.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """`fuse collect`: many walks, in parallel and in parts, so that an interrupted run goes on.
 
-Every trajectory is a part of its own, `OUT/parts/0000.safetensors`, which depends on the request and its number
-alone: the result has the same bytes for any number of jobs and interruptions. `OUT/plan.json` says what the parts
-are of; those of another request are refused.
+Every trajectory is a part of its own, `OUT/parts/0000.safetensors`, which depends on the request and its
+number alone: the result has the same bytes for any number of jobs and interruptions. `OUT/plan.json` says
+what the parts are of; those of another request are refused.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ SPLITS = ("train", "dev")
 
 @dataclass(frozen=True)
 class Request:
-    """What is collected. `states`: how many states of a trajectory have every action measured; 0: a plain walk."""
+    """What is collected. `states`: how many states of a trajectory have every action measured; 0: a plain
+    walk."""
 
     split: str
     trajectories: int
@@ -241,7 +242,8 @@ def _first_difference(found: Any, wanted: Any, key: str) -> str:
 
 
 def _join(out: Path, plan: dict[str, Any], paths: list[Path], run: dict[str, Any]) -> Collected:
-    parts, walked, left_out = [], [], {}
+    parts, walked = [], []
+    left_out: dict[str, int] = {}
     for number, path in enumerate(paths):
         try:
             part, note = transitions.load(path)

@@ -1,8 +1,8 @@
 """Training of the embedded encoder: `fuse train encoder`. Needs torch (extra `train`).
 
-Contrastive against a locked text half: the loss of a picture is the cross-entropy between the softmax over label
-phrases of its similarity with them and what is in the picture; the same for every patch, with "background" as one
-more phrase; and the layout numbers have to tell which labels are in which of 4×3 cells.
+Contrastive against a locked text half: the loss of a picture is the cross-entropy between the softmax over
+label phrases of its similarity with them and what is in the picture; the same for every patch, with
+"background" as one more phrase; and the layout numbers have to tell which labels are in which of 4×3 cells.
 
 What a step does depends on seed, step and pictures alone, and a checkpoint holds all the rest: a run that is
 killed and resumed ends with the same bits, given the same number of threads.

@@ -1,7 +1,7 @@
 """Training pictures of the encoder: whole scenes, windows and crops of objects, with what is where in them.
 
-Pictures come from two folders of shards (`segmenter_data`): randomised ones, and views of the training scenes.
-NumPy and OpenCV only.
+Pictures come from two folders of shards (`segmenter_data`): randomised ones, and views of the training
+scenes. NumPy and OpenCV only.
 """
 
 from __future__ import annotations

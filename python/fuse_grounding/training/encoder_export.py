@@ -1,4 +1,5 @@
-"""From a trained encoder to `encoder.onnx`, `encoder.safetensors` and `encoder.json`. Needs torch and onnx."""
+"""From a trained encoder to `encoder.onnx`, `encoder.safetensors` and `encoder.json`. Needs torch and
+onnx."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The picture half of the embedded encoder. Needs torch; running the shipped weights does not.
 
-EfficientNet-Lite0 (as the segmenter's, ImageNet weights) → features at stride 16 → for every patch a vector s in
-the space of the texts, how much it counts w, and L = 32 numbers for the layout. With Q = [Q_s Q_l] orthonormal,
+EfficientNet-Lite0 (as the segmenter's, ImageNet weights) → features at stride 16 → for every patch a vector s
+in the space of the texts, how much it counts w, and L = 32 numbers for the layout. With Q = [Q_s Q_l]
+orthonormal,
 
     patches = Q_s s / |s|
     image   = α Q_s ŝ + β Q_l l̂,   ŝ ∝ Σ softmax(w) s / |s|,   l̂ ∝ the L numbers averaged over 4×3 cells

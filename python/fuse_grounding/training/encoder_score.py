@@ -20,7 +20,8 @@ class Score:
     """Ranks of the right label, from 1: of each object's crop, and of what a whole picture shows.
 
     `scenes` has, for each picture, the best rank among the labels in it; `contexts`, for random sets of five
-    labels of which one or more are in the picture, whether the chosen one is, and the chance of that by guessing.
+    labels of which one or more are in the picture, whether the chosen one is, and the chance of that by
+    guessing.
     """
 
     crops: list[tuple[str, int]] = field(default_factory=list)

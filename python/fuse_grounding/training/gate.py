@@ -1,7 +1,8 @@
 """The choice of the gate's threshold η on development episodes: `fuse tune gate`.
 
-For each η of {0.6, 0.7, 0.8, 0.9} (supplement, "Confidence Gate") the method `fuse` plays the same episodes. The
-largest share of successes wins, then the largest mean IoU, then the fewest explicit decisions, then the larger η.
+For each η of {0.6, 0.7, 0.8, 0.9} (supplement, "Confidence Gate") the method `fuse` plays the same episodes.
+The largest share of successes wins, then the largest mean IoU, then the fewest explicit decisions, then the
+larger η.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Training of the amortised planner: `fuse train planner`. Needs torch; takes seconds.
 
-The paper's: [image 512, object 512, action 32] → 512 → 512 → 1, ReLU, mean squared error, Adam 1e-3 without weight
-decay or clipping, 20 epochs, batch 64, a random 90/10 split, weights of the final epoch (supplement, "Planner
-Training Targets"). `extended` reads `planning.summary`, too, standardised, and weighs less of what it could learn
-by heart: dropout on the picture, weight decay.
+The paper's: [image 512, object 512, action 32] → 512 → 512 → 1, ReLU, mean squared error, Adam 1e-3 without
+weight decay or clipping, 20 epochs, batch 64, a random 90/10 split, weights of the final epoch (supplement,
+"Planner Training Targets"). `extended` reads `planning.summary`, too, standardised, and weighs less of what
+it could learn by heart: dropout on the picture, weight decay.
 """
 
 from __future__ import annotations
@@ -53,6 +53,9 @@ def settings(kind: str, seed: int) -> TrainConfig:
 class PlannerNet(nn.Module):
     """Q(x, a; o) of one action or of all."""
 
+    mean: Tensor
+    spread: Tensor
+
     def __init__(self, dimensions: int, extended: bool, dropout: float) -> None:
         super().__init__()
         self.actions = nn.Embedding(ACTIONS, EMBEDDING)
@@ -64,6 +67,7 @@ class PlannerNet(nn.Module):
             nn.ReLU(),
             nn.Linear(HIDDEN, 1),
         )
+        self.dimensions = dimensions
         self.dropout = nn.Dropout(dropout)
         self.extended = extended
         self.register_buffer("mean", torch.zeros(extra))
@@ -160,7 +164,7 @@ def write(
 
     `encoder`: SHA-256 of the encoder's `network` and `text`; `source`: where the transitions come from.
     """
-    size = (trained.net.mlp[0].in_features - EMBEDDING - len(trained.net.mean)) // 2
+    size = trained.net.dimensions
     example: tuple[Tensor, ...] = (torch.zeros(1, size), torch.zeros(1, size))
     names = ["image", "object"]
     if trained.net.extended:

@@ -1,7 +1,7 @@
 """How good a planner's choices are where every action was measured: `fuse collect --split dev --exhaustive`.
 
-The regret of an action in a state is the largest utility measured there minus its own. Intervals are percentile
-bootstraps over trajectories, since states of one trajectory are alike. NumPy only.
+The regret of an action in a state is the largest utility measured there minus its own. Intervals are
+percentile bootstraps over trajectories, since states of one trajectory are alike. NumPy only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ THRESHOLDS = (0.6, 0.7, 0.8, 0.9)
 
 @dataclass(frozen=True)
 class Choices:
-    """States with every feasible action measured: `measured` and `predicted` (S, 15), NaN where infeasible."""
+    """States with every feasible action measured: `measured` and `predicted` (S, 15), NaN where
+    infeasible."""
 
     measured: np.ndarray
     predicted: np.ndarray
@@ -101,7 +102,7 @@ def _mean_ranks(values: np.ndarray) -> np.ndarray:
     return (last - (counts - 1) / 2.0)[which]
 
 
-def interval(values: np.ndarray, groups: np.ndarray, seed: int = 0) -> dict[str, float]:
+def interval(values: np.ndarray, groups: np.ndarray, seed: int = 0) -> dict[str, float | None]:
     """Mean with its 95 % percentile-bootstrap interval, whole groups being drawn."""
     names = np.unique(groups)
     sums = np.array([values[groups == g].sum() for g in names])

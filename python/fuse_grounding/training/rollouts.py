@@ -1,13 +1,15 @@
 """Walks through training scenes and measures each view: what a row of `transitions` is made of.
 
-Every measurement is the real one: pictures from the renderer, registration by COLMAP, a map that is refined at every
-view by the configured schedule, the segmenter, the encoder. The truth (ids, positions) serves q, v and g alone.
+Every measurement is the real one: pictures from the renderer, registration by COLMAP, a map that is refined
+at every view by the configured schedule, the segmenter, the encoder. The truth (ids, positions) serves q, v
+and g alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -38,11 +40,19 @@ NODES, PITCHES = 36, 3
 Viewpoint = tuple[int, int]
 
 
+class ForkingRegistrar(PointRegistrar, Protocol):
+    """A registrar of which a twin can be made."""
+
+    def fork(self) -> ForkingRegistrar:
+        """A twin that goes its own way from here. Raises InputError where that cannot be."""
+        ...
+
+
 @dataclass
 class Spatial:
     """Registration and map of one walk, which can go two ways from here."""
 
-    registrar: PointRegistrar
+    registrar: ForkingRegistrar
     map: GaussianMap
 
     def fork(self) -> Spatial:
@@ -101,7 +111,8 @@ class Prober:
         return Walk(number, scene.labels, states, moves)
 
     def survey(self, number: int, episode: Episode, visited: int, rng: np.random.Generator) -> Walk:
-        """From the episode's start, `visited` states on a random walk, each with every feasible action measured."""
+        """From the episode's start, `visited` states on a random walk, each with every feasible action
+        measured."""
         at = episode.start
         scene = _Scene(self, episode, at)
         states = [scene.visit(scene.spatial, at, 0)]
@@ -134,7 +145,7 @@ class _Scene:
         spatial = prober.parts.spatial()
         assert spatial is not None
         assert isinstance(spatial.map, GaussianMap)
-        self.spatial = Spatial(spatial.registrar, spatial.map)  # type: ignore[arg-type]
+        self.spatial = Spatial(cast(ForkingRegistrar, spatial.registrar), spatial.map)
         seeds = [replace(self._world.render_at(*v), instance=None) for v in seed_viewpoints(*start)]
         self.spatial.registrar.initialize(seeds)
         for seed in seeds:

@@ -10,8 +10,8 @@ For a transition t → t+1 (supplement, "Planner Training Targets")
     v  visible pixels of the target over the most that any of the 108 viewpoints shows
     g  (1/D - 1/D_max) / (1/D_min - 1/D_max), clipped to [0, 1], of the camera's distance D to the target
 
-A file has tables of states, transitions and trajectories, and the text vectors of the labels: a planner is trained
-and judged from it alone. Nothing here needs torch.
+A file has tables of states, transitions and trajectories, and the text vectors of the labels: a planner is
+trained and judged from it alone. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ class Transitions:
     """The tables. `before`, `after` and `context` are rows of states and of `texts`.
 
     `texts` (L, D) and `feature` (S, D): unit vectors of labels and pictures; `summary` (S, 29):
-    `planning.summary`; `levels` (S, 5): s, u, q, v, g; `feasible` (S, 15); `candidates` (S, L): what the query may
-    mean, `context` the one that is most like the picture; `viewpoint` (S, 2): node and pitch index; `trajectory`
-    and `step` (S,); `number` (T,): of each trajectory in its collection; `terms` (N, 5): gains, unweighted; `utility` (N,): y.
+    `planning.summary`; `levels` (S, 5): s, u, q, v, g; `feasible` (S, 15); `candidates` (S, L): what the
+    query may mean, `context` the one that is most like the picture; `viewpoint` (S, 2): node and pitch index;
+    `trajectory` and `step` (S,); `number` (T,): of each trajectory in its collection; `terms` (N, 5): gains,
+    unweighted; `utility` (N,): y.
     """
 
     texts: np.ndarray
@@ -105,8 +106,8 @@ def utility(terms: np.ndarray) -> np.ndarray:
 def load(path: Path) -> tuple[Transitions, dict[str, Any]]:
     """Reads and checks a file; its note too.
 
-    Raises InputError that names the file for one that is missing, damaged, of another kind or version, or whose
-    tables do not fit together.
+    Raises InputError that names the file for one that is missing, damaged, of another kind or version, or
+    whose tables do not fit together.
     """
     arrays, note = tensors.load(path, KIND, SCHEMA_VERSION)
     tensors.expect(path, arrays, _COLUMNS)
