@@ -14,6 +14,7 @@ from fuse_grounding import _core, tensors
 from fuse_grounding.cli.console import writable_folder
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
+from fuse_grounding.knowledge import affordances
 from fuse_grounding.perception.embedded_encoder import DEFAULT_PATH
 
 SCENE_SEED = 500_000
@@ -57,10 +58,12 @@ def encoder(
     console = Console(soft_wrap=True, highlight=False, markup=False)
     categories = _core.object_categories()
     labels = tuple(name for name, _ in categories)
+    things = affordances.shipped().things.values()
+    names = [*labels, *(label for _, label in categories), *(s for thing in things for s in thing.synonyms)]
     target = out / DEFAULT_PATH.name
     table = target.with_suffix(".safetensors")
     if not table.exists():
-        tensors.write(table, export.text_table(*texts.distil(console.print)))
+        tensors.write(table, export.text_table(*texts.distil(names, console.print)))
     text = TextTable(table)
     folders = []
 

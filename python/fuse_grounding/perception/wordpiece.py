@@ -1,7 +1,8 @@
 """Text into the pieces of words that BERT's uncased vocabularies are made of.
 
 Lower case, accents off, cut at white space and around punctuation; then each word from left to right into the
-longest pieces that the vocabulary has (inner pieces begin with `##`), or `[UNK]` where that fails.
+longest pieces that the vocabulary has (inner pieces begin with `##`), or `[UNK]` where that fails. A
+vocabulary may have whole phrases, too (`water bottle`): the longest run of words that is one comes first.
 """
 
 from __future__ import annotations
@@ -22,15 +23,24 @@ class WordPiece:
     def __init__(self, vocabulary: Sequence[str]):
         self._ids = {piece: i for i, piece in enumerate(vocabulary)}
         self._unknown = self._ids[UNKNOWN]
+        self._longest = max(piece.count(" ") for piece in vocabulary) + 1
 
     def ids(self, text: str) -> list[int]:
         """The pieces of a text, at most 64 of them; none for a text without a visible character."""
         found: list[int] = []
-        for word in words(text):
-            found += self._pieces(word)
-            if len(found) >= MOST_PIECES:
-                return found[:MOST_PIECES]
-        return found
+        left = words(text)
+        while left and len(found) < MOST_PIECES:
+            count, ids = self._first(left)
+            found += ids
+            left = left[count:]
+        return found[:MOST_PIECES]
+
+    def _first(self, left: list[str]) -> tuple[int, list[int]]:
+        """How many of the words come first, and their pieces."""
+        for count in range(min(self._longest, len(left)), 1, -1):
+            if (phrase := self._ids.get(" ".join(left[:count]))) is not None:
+                return count, [phrase]
+        return 1, self._pieces(left[0])
 
     def _pieces(self, word: str) -> list[int]:
         if len(word) > LONGEST_WORD:

