@@ -15,9 +15,10 @@ import numpy as np
 from fuse_grounding.environment import TabletopEnvironment
 from fuse_grounding.environment.sets import plan_of, planned_episode
 from fuse_grounding.perception.embedded_encoder import STRIDE, letterbox
-from fuse_grounding.training.encoder_model import CELLS
 from fuse_grounding.training.segmenter_data import SHARD, Picture, Shards, augment
 
+CELLS = (4, 3)
+"""Columns and rows that the layout is told in."""
 VIEWS = 32
 """Pictures of one laid table in a shard."""
 WHOLE, WINDOW = 0.35, 0.2

@@ -53,7 +53,7 @@ def write(
         "labels": list(labels),
         "background": background,
         "input": {"width": size[0], "height": size[1]},
-        "scale": round(float(net.scale()), 4),
+        "scale": round(float(net.scale().detach()), 4),
         "sha256": {
             "network": hashlib.sha256(weights).hexdigest(),
             "text": hashlib.sha256(text).hexdigest(),

@@ -19,11 +19,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from fuse_grounding.training.encoder_data import CELLS
 from fuse_grounding.training.encoder_text import DIMENSIONS as INNER
 from fuse_grounding.training.segmenter_model import Backbone
 
 DIMENSIONS = 512
-CELLS = (4, 3)
 LAYOUT = (DIMENSIONS - INNER) // (CELLS[0] * CELLS[1])
 SEMANTIC_SHARE = 0.6
 """α²: of the squared length of an image vector, what texts see."""
