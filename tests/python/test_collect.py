@@ -108,7 +108,7 @@ def test_a_survey_measures_every_action_and_forks_change_nothing(
     assert start.viewpoint == episode.start
     assert [action for _, action, _ in walk.moves] == np.flatnonzero(start.feasible).tolist()
     # A walk that goes one of these ways, and never forks, measures the same.
-    _, action, after = walk.moves[3]
+    _, _, after = walk.moves[3]
     scene = rollouts._Scene(prober, episode, episode.start)
     scene.visit(scene.spatial, episode.start, 0)
     alone = scene.visit(scene.spatial, walk.states[after].viewpoint, 1)

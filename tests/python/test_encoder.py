@@ -17,8 +17,9 @@ from fuse_grounding.perception.encoder import Encoder
 from fuse_grounding.perception.patches import PatchSegmenter
 from fuse_grounding.perception.wordpiece import WordPiece, words
 
-# Words that are no label, with the labels that a reasonable person might take them for. Written down before
-any # encoder had seen them. KIN = {
+# Words that are no label, with the labels that a reasonable person might take them for. Written down
+# before any encoder had seen them.
+KIN = {
     "cutter": "knife scissors box_cutter butter_knife",
     "cup": "mug measuring_cup wine_glass",
     "glass": "wine_glass mug water_bottle",
@@ -341,7 +342,7 @@ def test_training_learns_and_resumes_to_the_same_bits(tmp_path: Path):
     torch = pytest.importorskip("torch")
     from fuse_grounding.training import encoder as training
 
-    config = training.TrainConfig(steps=12, batch=4, size=(128, 96), warmup=2, threads=1, pretrained=False)
+    config = training.TrainConfig(steps=12, batch=4, size=(128, 96), warmup=2, pretrained=False)
     phrases = np.eye(3, 128, dtype=np.float32)[None].repeat(2, 0)
     pictures: Any = Blocks()
     lines: list[str] = []

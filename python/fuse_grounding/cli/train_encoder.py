@@ -31,7 +31,6 @@ def encoder(
         int, typer.Option(min=0, help="Views of training scenes to have before training.")
     ] = 1536,
     steps: Annotated[int, typer.Option(min=1, help="Training steps of 16 pictures.")] = 2400,
-    threads: Annotated[int, typer.Option(min=1, help="Threads; the last bits depend on their number.")] = 2,
     seed: Annotated[int, typer.Option(min=0, max=SCENE_SEED // 2, help="Seed of pictures and training.")] = 0,
 ) -> None:
     """Distil the text table, render pictures of training objects, train, export `encoder.onnx`."""
@@ -76,7 +75,7 @@ def encoder(
 
     have("randomised", render, lambda shard, n: _core.randomized_pictures(shard, n), seed)
     have("scenes", scenes, lambda shard, n: pictures.scene_pictures("train", shard, n), SCENE_SEED + seed)
-    config = training.TrainConfig(steps=steps, threads=threads, seed=seed)
+    config = training.TrainConfig(steps=steps, seed=seed)
     said = [*(label for _, label in categories), training.BACKGROUND]
     inner = rotation()[:, :INNER]
     phrases = [[way.format(word) for word in said] for way in training.PHRASES]
@@ -88,7 +87,6 @@ def encoder(
         "steps": run.step,
         "batch": config.batch,
         "minutes": round(run.seconds / 60, 1),
-        "threads": threads,
         "pictures": {"randomised": render, "scenes": scenes},
     }
     export.write(

@@ -5,7 +5,7 @@ label phrases of its similarity with them and what is in the picture; the same f
 "background" as one more phrase; and the layout numbers have to tell which labels are in which of 4×3 cells.
 
 What a step does depends on seed, step and pictures alone, and a checkpoint holds all the rest: a run that is
-killed and resumed ends with the same bits, given the same number of threads.
+killed and resumed ends with the same bits, on any number of threads.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class TrainConfig:
     weight_decay: float = 0.02
     warmup: int = 60
     ema: float = 0.996
-    threads: int = 2
+    parts: int = 2
     seed: int = 0
     pretrained: bool = True
 
@@ -76,6 +76,15 @@ class Training:
         groups = [{"params": heads, "factor": 1.0}, {"params": backbone, "factor": config.backbone_factor}]
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
         self.step, self.seconds = 0, 0.0
+        self.pool = ThreadPoolExecutor(config.parts)
+        self.replicas = [self._replica() for _ in range(config.parts)]
+
+    def _replica(self) -> EncoderNet:
+        """A network with the same parameters in memory and gradients of its own."""
+        twin = EncoderNet(len(self.labels))
+        for own, shared in zip(twin.parameters(), self.net.parameters(), strict=True):
+            own.data = shared.data
+        return twin
 
     def learning_rate(self) -> float:
         """Linear warm-up, then half a cosine over the steps."""
@@ -87,14 +96,27 @@ class Training:
         """One step of the optimiser; the parts of the loss."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate() * group["factor"]
-        image = torch.from_numpy(np.stack([s.image for s in samples])).permute(0, 3, 1, 2)
-        x = ((image.float() - 127.0) / 128.0).contiguous(memory_format=torch.channels_last)
         if self.step == 0:
-            self.net.standardize(x)
-        parts = losses(self.net(x), samples, self._texts(), self.net)
-        total = sum((WEIGHTS[k] * v for k, v in parts.items()), torch.zeros(()))
-        self.optimizer.zero_grad()
-        total.backward()
+            self.net.standardize(_input(samples))
+        texts, count = self._texts(), self.config.parts
+
+        def work(replica: EncoderNet, part: list[Sample]) -> dict[str, float]:
+            # One thread of its own per operation: threads that wait for one another inside an operation lose
+            # most of a busy machine.
+            torch.set_num_threads(1)
+            found = losses(replica(_input(part)), part, texts, replica)
+            total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros(()))
+            (total / count).backward()
+            return {k: float(v.detach()) / count for k, v in found.items()}
+
+        halves = [samples[i::count] for i in range(count)]
+        found = list(self.pool.map(work, self.replicas, halves))
+        parts = {k: sum(one[k] for one in found) for k in WEIGHTS}
+        for p, *others in zip(*(n.parameters() for n in (self.net, *self.replicas)), strict=True):
+            gradients = [q.grad for q in others if q.grad is not None]
+            p.grad = sum(gradients[1:], gradients[0]) if gradients else None
+            for q in others:
+                q.grad = None
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
         if torch.isfinite(norm):
             self.optimizer.step()
@@ -103,7 +125,7 @@ class Training:
             for k, v in self.net.state_dict().items():
                 self.average[k].lerp_(v, 1 - keep)
         self.step += 1
-        return {k: float(v.detach()) for k, v in parts.items()} | {"norm": float(norm)}
+        return parts | {"norm": float(norm)}
 
     def _texts(self) -> Tensor:
         """(labels + 1, inner): each label said in one way, drawn anew for every step."""
@@ -156,6 +178,11 @@ class Training:
         self.step, self.seconds = state["step"], state["seconds"]
 
 
+def _input(samples: list[Sample]) -> Tensor:
+    image = torch.from_numpy(np.stack([s.image for s in samples])).permute(0, 3, 1, 2)
+    return ((image.float() - 127.0) / 128.0).contiguous(memory_format=torch.channels_last)
+
+
 def losses(views: Views, samples: list[Sample], texts: Tensor, net: EncoderNet) -> dict[str, Tensor]:
     """The parts of the loss, each a scalar: image, patch, layout."""
     labels = len(texts) - 1
@@ -190,7 +217,7 @@ def train(
 
     Leaves `checkpoint.pt` and `log.jsonl` in `out`.
     """
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(1)
     cv2.setNumThreads(1)
     run = Training(labels, phrases, config)
     checkpoint = out / "checkpoint.pt"
