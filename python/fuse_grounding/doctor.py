@@ -76,7 +76,10 @@ def examine() -> list[Check]:
         _gpu(),
         _memory(),
         _disk(),
-        *(_package(n) for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic")),
+        *(
+            _package(n)
+            for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic", "safetensors")
+        ),
         _package("torch", "pip install 'fuse-grounding[train]' (only to train networks)", required=False),
         _shipped("objects", PACKAGE / "data" / "objects"),
         _shipped("scenes", PACKAGE / "data" / "scenes.json"),
