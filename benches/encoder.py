@@ -1,9 +1,9 @@
-"""The encoder on pictures of development objects and scenes, which it never saw, and on words that are no label.
+"""The encoder on pictures of development objects and scenes, which it never saw.
 
-For every object with at least 500 visible pixels: the rank of its label among the 45 by the similarity of its crop
-with the label's text. For whole pictures: the best rank of a label that is in it, and, among five labels at random
-of which one is there, whether the most similar one is (what a planner's object context asks). Milliseconds of an
-image and of a text.
+For every object with at least 500 visible pixels: the rank of its label among the 45 by the similarity of its
+crop with the label's text. For whole pictures: the best rank of a label that is in it, and, among five labels
+at random of which one is there, whether the most similar one is (what a planner's object context asks).
+Milliseconds of an image and of a text.
 
     python benches/encoder.py [--pictures 128] [--scene-pictures 128] [--seed 2000000] [--threads 2]
                               [--weights encoder.onnx] [--json]
@@ -117,7 +117,7 @@ def main() -> None:
             continue
         one = result[name]
         print(
-            f"{name}: {one['objects']} crops, right label first {one['top1']:.0%}, among five {one['top5']:.0%}, "
+            f"{name}: {one['objects']} crops, label first {one['top1']:.0%}, among five {one['top5']:.0%}, "
             f"mean rank {one['mean_rank']} of {len(labels)}; worst {one['worst_mean_rank']}"
         )
         print(

@@ -234,7 +234,7 @@ def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_tensors_are_the_same_bytes_whatever_the_order(tmp_path: Path):
-    one = {"b": np.arange(6).reshape(2, 3), "a": np.zeros(2, np.float16)}
+    one: dict[str, np.ndarray] = {"b": np.arange(6).reshape(2, 3), "a": np.zeros(2, np.float16)}
     assert tensors.encode("k", 1, one, {"x": 1}) == tensors.encode(
         "k", 1, dict(reversed(one.items())), {"x": 1}
     )
