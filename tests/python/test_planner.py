@@ -361,6 +361,9 @@ def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: py
     assert execute([*line.split(), "--kind", "plain"]) == 0
     assert "always the mean" in capsys.readouterr().out
     judged = [*line.split(), "--kind", "plain", "--evaluate", "--weights", str(tmp_path / "p"), "--json"]
+    assert execute(judged) == 2
+    assert "was trained on" in capsys.readouterr().err
+    source.write_bytes(tables(30, seed=1).encode(note))
     assert execute(judged) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == json.loads((tmp_path / "p" / "evaluation.json").read_text())
@@ -369,6 +372,9 @@ def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: py
     source.write_bytes(tables(30).encode({**note, "encoder": {"network": "x", "text": "y"}}))
     assert execute(judged) == 2
     assert "are of different encoders" in capsys.readouterr().err
+    source.write_bytes(tables(30).encode({}))
+    assert execute(judged) == 2
+    assert "does not say of which split it is" in capsys.readouterr().err
 
 
 # -- the gate's threshold -----------------------------------------------------------------------------

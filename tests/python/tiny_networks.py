@@ -105,6 +105,7 @@ def write_planner(
         "dimensions": dimensions,
         "sha256": _digest(weights),
         "encoder": digests,
+        "transitions": {"sha256": "none"},
     }
     path.with_suffix(".json").write_text(json.dumps(settings))
     return path

@@ -40,6 +40,11 @@ def planner(
     if not set(kinds) <= set(KINDS):
         raise InputError(f"--kind must be {', '.join(KINDS)} or both, found {kind}")
     data, note = transitions.load(source)
+    for key in ("split", "encoder"):
+        if key not in note:
+            raise InputError(
+                f"{source} does not say of which {key} it is: `fuse collect` joins its parts into one"
+            )
     writable_folder(out)
     if evaluate:
         _evaluate(data, note, source, out, kinds, weights, as_json)
@@ -82,6 +87,8 @@ def _evaluate(
         network = Network(path)
         if network.settings.encoder != note["encoder"]:
             raise InputError(f"{path} and {source} are of different encoders: train the planner anew")
+        if network.settings.transitions == sha256(source):
+            raise InputError(f"{path} was trained on {source}: judge it on others (fuse collect --split dev)")
         found[kind] = scoring.choices(data, scoring.by_network(data, network))
         figures[kind] = {"weights": sha256(path), **scoring.score(found[kind])}
     result = {"transitions": sha256(source), "split": note["split"], "planners": figures}

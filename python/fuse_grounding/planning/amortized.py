@@ -40,12 +40,13 @@ def shipped(kind: str) -> Path:
 
 @dataclass(frozen=True)
 class Settings:
-    """What `planner.json` says: the kind, the length of vectors, and the SHA-256 of the encoder's two
-    files."""
+    """What `planner.json` says: the kind, the length of vectors, and the SHA-256 of the encoder's two files
+    and of the transitions that it was trained on."""
 
     kind: str
     dimensions: int
     encoder: dict[str, str]
+    transitions: str
 
 
 class Network:
@@ -188,7 +189,10 @@ def _read(path: Path) -> tuple[Settings, bytes]:
         if d["schema_version"] != SCHEMA_VERSION:
             raise InputError(f"{beside} has schema version {d['schema_version']}, expected {SCHEMA_VERSION}")
         settings = Settings(
-            str(d["kind"]), int(d["dimensions"]), {k: str(v) for k, v in d["encoder"].items()}
+            kind=str(d["kind"]),
+            dimensions=int(d["dimensions"]),
+            encoder={name: str(digest) for name, digest in d["encoder"].items()},
+            transitions=str(d["transitions"]["sha256"]),
         )
         expected = str(d["sha256"])
         if settings.kind not in KINDS:
