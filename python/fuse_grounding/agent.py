@@ -335,10 +335,7 @@ class Session:
         self._runner_up = self.glance if self._runner_up is seen else self._runner_up
 
     def evidence_of(self, view: Glance) -> EvidenceMaps:
-        """Evidence of a view with the map as it is now: for pictures, nothing is refined.
-
-        Without a map, semantics alone.
-        """
+        """Evidence of a view with the map as it is, for pictures; without a map, semantics alone."""
         situation = self._situation(view, np.ones(15, bool))
         if self.spatial is None:
             semantic = self._parts.look(situation, None).semantic

@@ -13,10 +13,11 @@ from tiny_networks import write_encoder, write_planner
 
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.config import Config
+from fuse_grounding.environment import load_episodes
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.knowledge.protocol import Candidate
 from fuse_grounding.perception.protocol import Detection
-from fuse_grounding.planning.amortized import Network, load_planner
+from fuse_grounding.planning.amortized import WEIGHTS, Network, load_planner
 from fuse_grounding.planning.context import nearest_candidate
 from fuse_grounding.planning.protocol import Situation
 from fuse_grounding.planning.summary import NAMES, summarize
@@ -383,6 +384,13 @@ def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: py
 class _Episode:
     def __init__(self, name: str, split: str = "dev"):
         self.episode_id, self.split = name, split
+
+
+@pytest.mark.skipif(not (WEIGHTS / "gate.json").exists(), reason="no choice of the threshold is recorded yet")
+def test_the_default_threshold_is_the_recorded_choice():
+    recorded = json.loads((WEIGHTS / "gate.json").read_text())
+    assert Config().gate.eta == recorded["chosen"]
+    assert recorded["episodes"] == [e.episode_id for e in load_episodes("dev")[:5]]
 
 
 def test_the_threshold_with_most_successes_is_chosen(

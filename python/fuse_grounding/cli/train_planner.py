@@ -89,8 +89,10 @@ def _evaluate(
             raise InputError(f"{path} and {source} are of different encoders: train the planner anew")
         if network.settings.transitions == sha256(source):
             raise InputError(f"{path} was trained on {source}: judge it on others (fuse collect --split dev)")
-        found[kind] = scoring.choices(data, scoring.by_network(data, network))
-        figures[kind] = {"weights": sha256(path), **scoring.score(found[kind])}
+        values = scoring.by_network(data, network)
+        found[kind] = scoring.choices(data, values)
+        seconds = scoring.decision_seconds(values)
+        figures[kind] = {"weights": sha256(path), **scoring.score(found[kind]), "decision_seconds": seconds}
     result = {"transitions": sha256(source), "split": note["split"], "planners": figures}
     tensors.write(out / "evaluation.json", json.dumps(result, indent=1) + "\n")
     scoring.draw(found, out / "gate_calibration.png")
@@ -109,8 +111,9 @@ def _evaluate(
         for name in ("top", "random", "stay"):
             console.print(f"  regret of {name:<7} {_with_interval(regret[name])}")
         for name in ("random", "stay"):
-            console.print(f"  better than {name:<6}{_with_interval(one[f'gained_on_{name}'])}")
+            console.print(f"  better than {name:<7}{_with_interval(one[f'gained_on_{name}'])}")
         console.print(f"  entropy against regret: rank correlation {one['entropy_regret_correlation']}")
+        console.print(f"  {1e3 * one['decision_seconds']:.2f} ms for all 15 actions")
         for side in one["gate"]:
             console.print(
                 f"  eta {side['eta']}: trusted {side['trusted']:.0%}, regret {side['regret_trusted']} there, "
