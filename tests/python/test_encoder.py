@@ -338,7 +338,7 @@ def test_a_sample_says_what_is_where():
     assert nothing.present.sum() == 0
 
 
-def test_training_learns_and_resumes_to_the_same_bits(tmp_path: Path):
+def test_a_killed_training_resumes_to_the_same_bits(tmp_path: Path):
     torch = pytest.importorskip("torch")
     from fuse_grounding.training import encoder as training
 

@@ -271,7 +271,7 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
     pytest.importorskip("onnx")
     from fuse_grounding.training import planner as training
 
-    data = tables(100)
+    data = tables(40)
     made: dict[str, Path] = {}
     plain: Any = None
     for kind, name in (("plain", "again"), ("plain", "first"), ("extended", "first")):
