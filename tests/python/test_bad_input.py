@@ -296,6 +296,17 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("objects preview --category mug --out folder", "cannot write --out folder: Is a directory"),
         ("knowledge --source nope", "unknown knowledge source `nope`"),
         ("train segmenter --out file/below", "cannot be written: Not a directory"),
+        ("train encoder --out file/below", "cannot be written: Not a directory"),
+        ("train encoder --render 0 --scenes 0 --out o", "there is nothing to train on"),
+        ("train planner --transitions nowhere --out o", "nowhere does not exist"),
+        ("train planner --transitions half.onnx --out o", "half.onnx is not a sound safetensors file"),
+        ("train planner --transitions folder --out o", "folder"),
+        ("collect --encoder nowhere.onnx --out o", "cannot read the encoder's file nowhere.onnx"),
+        ("collect --split eval --out o", "--split must be train or dev, found eval"),
+        ("tune gate --out no/g.json", "there is no folder no"),
+        ("tune gate --set planner.name=none --out g.json", "there is no planner whose gate could be tuned"),
+        ("tune gate --set planner.name=wild --out g.json", "`planner.name`: found 'wild', expected: 'plain'"),
+        ("run cut --method amortized --set planner.name=none --out o", "needs a planner"),
     ],
 )
 def test_the_command_line_says_it_in_one_sentence(
