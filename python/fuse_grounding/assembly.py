@@ -9,7 +9,8 @@ from fuse_grounding.config import Config, RegistrationConfig
 from fuse_grounding.environment import render_device
 from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
-from fuse_grounding.perception.doors import open_encoder, open_segmenter
+from fuse_grounding.perception.doors import open_encoder, open_segmenter, settled
+from fuse_grounding.planning.amortized import planner_files
 from fuse_grounding.planning.explicit import evidence_maps
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
 
@@ -29,7 +30,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
     method, config = resolve(config)
     knowledge.make(config.knowledge)
     # What cannot run says so before anything is loaded.
-    method.policy(config, 0)
+    plans = method.policy(config, 0).planner not in (None, "none")
     announcements = mapping.check(config.map) if method.maps else []
     rendered_on = render_device(config.render.device)
     if config.render.device != "cpu":
@@ -37,8 +38,14 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         announcements.append(
             f"render.device {config.render.device}: {why}the world is rendered on {rendered_on}"
         )
+    asked, config = config.encoder.name, config.with_(encoder={"name": settled(config.encoder).name})
+    if asked == "auto" and config.encoder.name == "lexical" and knowledge.replaces(config.knowledge):
+        announcements.append(
+            "encoder: no weights of `embedded` are there; labels are compared by letters (`lexical`)"
+        )
     encoder = open_encoder(config.encoder)
     segmenter = open_segmenter(config.segmenter)
+    planner = planner_files(config) if plans else None
 
     # Taken once: what the record names is what every map of the run is trained on.
     device = splat.device_name(config.map.device if method.maps else "cpu")
@@ -64,7 +71,8 @@ def assemble(config: Config) -> tuple[Parts, Config]:
             (*segmenter.packages, *encoder.packages),
             segmenter=segmenter.files,
             encoder=encoder.files,
-            planner=() if config.gate.planner is None else (config.gate.planner,),
+            planner=() if planner is None else (planner.planner,),
+            planner_encoder=() if planner is None else planner.encoder,
         ),
         announcements=announcements,
     )

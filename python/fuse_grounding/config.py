@@ -65,8 +65,16 @@ class GateConfig(Section):
     """Normalised entropy up to which the amortised branch decides. Supplement, "Confidence Gate"."""
     temperature: Positive = 0.1
     """Softmax temperature. Supplement, "Confidence Gate" (the text says 1, at which the gate never opens)."""
-    planner: Path | None = None
-    """Weights of the amortised planner; none ships yet, so that every decision is explicit."""
+
+
+class PlannerConfig(Section):
+    """The learned planner of `amortized` and `fuse`."""
+
+    name: Literal["plain", "extended", "none"] = "plain"
+    """`plain`: picture, object, action (supplement, "Amortized Planner Architecture"); `extended`: also pitch
+    and where the candidates are in the picture, ours; `none`: every decision of `fuse` is explicit."""
+    weights: Path | None = None
+    """Another ONNX file of the same kind; none: the shipped one."""
 
 
 class StoppingConfig(Section):
@@ -227,8 +235,9 @@ class SegmenterConfig(Section):
     """Finding the candidates in a picture. docs/models/doors.md says how to bring your own."""
 
     name: str = "embedded"
-    """`embedded` ships with the package; `sam3` (the paper's) and `clip_patches` (its ablation) need
-    checkpoints; an entry point's name, or `package.module:Class`, is yours."""
+    """`embedded` ships with the package; `embedded_patches` looks through FUSE's own encoder; `sam3` (the
+    paper's) and `clip_patches` (its ablation) need checkpoints; an entry point's name, or
+    `package.module:Class`, is yours."""
     weights: Path | None = None
     """Checkpoint folder or file; none: the shipped one, which `embedded` alone has."""
     device: Literal["cpu", "cuda", "auto"] = "cpu"
@@ -241,13 +250,14 @@ class SegmenterConfig(Section):
 
 
 class EncoderConfig(Section):
-    """Comparing words, where a label has to be replaced by the nearest known one."""
+    """Words and pictures as vectors: what the nearest known label is, and what the learned planner reads."""
 
-    name: str = "lexical"
-    """`lexical` compares letters; `clip` needs a checkpoint (supplement: ViT-B/16); an entry point's name, or
-    `package.module:Class`, is yours."""
+    name: str = "auto"
+    """`embedded` is FUSE's own; `lexical` compares letters; `auto`: the first where its weights are, else the
+    second; `clip` needs a checkpoint; an entry point's name, or `package.module:Class`, is yours. A learned
+    planner reads with `embedded` whatever this is (supplement: CLIP ViT-B/16)."""
     weights: Path | None = None
-    """Checkpoint folder."""
+    """encoder.onnx with its files beside it, or a checkpoint folder; none: the shipped one, of `embedded`."""
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     """As `segmenter.device`."""
     options: dict[str, Any] = Field(default_factory=dict)
@@ -292,6 +302,7 @@ class Config(Section):
     camera: CameraConfig = CameraConfig()
     budget: BudgetConfig = BudgetConfig()
     gate: GateConfig = GateConfig()
+    planner: PlannerConfig = PlannerConfig()
     stopping: StoppingConfig = StoppingConfig()
     ssnr: SsnrConfig = SsnrConfig()
     explicit: ExplicitConfig = ExplicitConfig()

@@ -14,7 +14,7 @@ from typing import Any
 from fuse_grounding import _core, splat
 from fuse_grounding.config import Config
 from fuse_grounding.errors import FuseError, InputError
-from fuse_grounding.perception.doors import ENCODER_GROUP, ENCODERS, SEGMENTER_GROUP, SEGMENTERS
+from fuse_grounding.perception.doors import ENCODER_GROUP, ENCODERS, SEGMENTER_GROUP, SEGMENTERS, settled
 from fuse_grounding.perception.own import entry_points, load
 from fuse_grounding.registry import Registry
 
@@ -105,9 +105,8 @@ def _door(kind: str, name: str, door: Any, chosen: Any | None) -> Check:
     try:
         files, route = door.files(settings), door.way(settings)
     except InputError as error:
-        return Check(
-            title, False, f"{through}{error}", "docs/models/doors.md says what belongs in the folder"
-        )
+        hint = "docs/models/doors.md says what belongs in the folder"
+        return Check(title, False, f"{through}{error}", hint, needed=chosen is not None)
     if route is None:
         return Check(title, True, f"{len(files)} file(s)" if files else "needs nothing")
     if absent[route]:
@@ -135,6 +134,7 @@ def _own(kind: str, group: str, doors: Registry[Any], chosen: Any) -> list[Check
 def examine(config: Config | None = None) -> list[Check]:
     """All checks, in the order of the report; `config` says which segmenter and encoder must be usable."""
     config = config or Config()
+    encoder = settled(config.encoder)
     return [
         Check("fuse-grounding", True, _core.__version__),
         Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
@@ -142,12 +142,15 @@ def examine(config: Config | None = None) -> list[Check]:
         _gpu(),
         _memory(),
         _disk(),
-        *(_package(n) for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic")),
+        *(
+            _package(n)
+            for n in ("numpy", "opencv-python-headless", "onnxruntime", "pycolmap", "pydantic", "safetensors")
+        ),
         _package("torch", "pip install 'fuse-grounding[train]' (only to train networks)", required=False),
         *_doors("segmenter", SEGMENTERS, config.segmenter),
         *_own("segmenter", SEGMENTER_GROUP, SEGMENTERS, config.segmenter),
-        *_doors("encoder", ENCODERS, config.encoder),
-        *_own("encoder", ENCODER_GROUP, ENCODERS, config.encoder),
+        *_doors("encoder", ENCODERS, encoder),
+        *_own("encoder", ENCODER_GROUP, ENCODERS, encoder),
         _shipped("objects", PACKAGE / "data" / "objects"),
         _shipped("scenes", PACKAGE / "data" / "scenes.json"),
         _shipped("segmenter weights", PACKAGE / "weights" / "segmenter.onnx"),

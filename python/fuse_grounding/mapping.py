@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Protocol
 
@@ -80,6 +81,22 @@ class GaussianMap:
                 self._add_new_points(self._trainer)
             self._trainer.refine(self._config.incremental_iterations)
             self._refinements += 1
+
+    def fork(self, registrar: PointRegistrar) -> GaussianMap:
+        """A twin over `registrar`, a fork of this map's, that goes its own way from here."""
+        twin = GaussianMap(registrar, self._config)
+        twin._pictures, twin._known = list(self._pictures), set(self._known)
+        twin._seeds, twin._taken, twin._refinements = self._seeds, self._taken, self._refinements
+        if self._trainer is not None:
+            cameras = [view.camera for view in self._registrar.views()][: self._taken]
+            with tempfile.TemporaryDirectory() as folder:
+                state = Path(folder) / "state"
+                self._trainer.save_checkpoint(state)
+                twin._trainer = splat.Trainer(self._trainer.gaussians, self._config, self._config.device)
+                for index, camera in enumerate(cameras):
+                    twin._trainer.add_view(self._pictures[index], camera)
+                twin._trainer.load_checkpoint(state)
+        return twin
 
     def render(self, camera: Camera) -> Rendering | None:
         """The map's prediction; see `SpatialMap.render`."""

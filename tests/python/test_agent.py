@@ -149,7 +149,7 @@ class Sure:
     def __init__(self, clear: bool):
         self._clear = clear
 
-    def values(self, rgb: np.ndarray, candidates: Any) -> np.ndarray:
+    def values(self, situation: Any) -> np.ndarray:
         values = np.zeros(15, np.float32)
         values[8] = 1.0 if self._clear else 0.0
         values[3] = 5.0  # less far down: masked at the upper pitch, never to be chosen there

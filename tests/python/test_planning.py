@@ -146,11 +146,16 @@ def test_methods_say_what_they_need():
 
 
 def test_asking_for_planner_weights_is_an_error_not_a_stand_in(tmp_path: Path):
-    method, config = resolve(Config().with_(method="fuse", gate={"planner": str(tmp_path / "p.onnx")}))
-    with pytest.raises(InputError, match=r"p\.onnx \(gate\.planner\) do not exist"):
-        method.policy(config, 0)
+    wanted = {"weights": str(tmp_path / "p.onnx")}
+    for name in ("fuse", "amortized"):
+        method, config = resolve(Config().with_(method=name, planner=wanted))
+        with pytest.raises(InputError, match=r"p\.onnx \(planner\.weights\) do not exist"):
+            method.policy(config, 0)
     (tmp_path / "p.onnx").write_bytes(b"x")
-    with pytest.raises(InputError, match="this version has no amortised planner"):
+    with pytest.raises(InputError, match=r"p\.json \(planner\.weights\) do not exist"):
+        method.policy(config, 0)
+    method, config = resolve(Config().with_(method="amortized", planner={"name": "none"}))
+    with pytest.raises(InputError, match="method `amortized` needs a planner"):
         method.policy(config, 0)
 
 

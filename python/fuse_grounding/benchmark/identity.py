@@ -24,7 +24,7 @@ RUNTIME_SETTINGS = {
     "segmenter.device": "what was wished for; what was taken counts, under `perception`",
     "encoder.weights": "where they lie; their bytes count, under `weights`",
     "encoder.device": "what was wished for; what was taken counts, under `perception`",
-    "gate.planner": "where the file lies; its bytes count, under `weights`",
+    "planner.weights": "where the file lies; its bytes count, under `weights`",
     "map.device": "what was wished for; what was taken counts, under `device`",
     "render.device": "what was wished for; what was taken counts, under `render_device`",
 }

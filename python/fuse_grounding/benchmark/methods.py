@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from fuse_grounding.config import Config
-from fuse_grounding.planning.amortized import load_planner
+from fuse_grounding.errors import InputError
+from fuse_grounding.planning.amortized import Amortized, load_planner
 from fuse_grounding.planning.explicit import Explicit
 from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
@@ -48,7 +49,17 @@ def _add(
 
 
 def _fuse(config: Config, episode: int) -> Policy:
-    return Gated(load_planner(config.gate.planner), Explicit("explicit", config), config.gate)
+    return Gated(load_planner(config), Explicit("explicit", config), config.gate)
+
+
+def _amortized(config: Config, episode: int) -> Policy:
+    planner = load_planner(config)
+    if planner is None:
+        raise InputError(
+            f"method `amortized` needs a planner, and planner.name = {config.planner.name!r} brings none: "
+            "none of that name ships; planner.weights names one of your own"
+        )
+    return Amortized(planner)
 
 
 _add(
@@ -89,6 +100,7 @@ _add(
     maps=True,
     summary="regions scored by semantic evidence plus geometric uncertainty",
 )
+_add("amortized", _amortized, maps=False, summary="the learned planner alone")
 _add("fuse", _fuse, maps=True, summary="confidence gate between amortised and explicit planning")
 _add(
     "fuse_oracle",

@@ -21,7 +21,19 @@ app = typer.Typer(
 )
 
 # In the order of `fuse --help`. A module has `app` (a group of commands) or `command` (one).
-_COMMANDS = ("run", "bench", "episodes", "objects", "capture", "knowledge", "splat", "train", "doctor")
+_COMMANDS = (
+    "run",
+    "bench",
+    "episodes",
+    "objects",
+    "capture",
+    "knowledge",
+    "splat",
+    "collect",
+    "train",
+    "tune",
+    "doctor",
+)
 
 
 def _show_version(wanted: bool) -> None:

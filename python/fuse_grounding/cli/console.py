@@ -7,15 +7,18 @@ import os
 import resource
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.status import Status
 
 from fuse_grounding.agent import Session
+from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded
 from fuse_grounding.record import ResultEntry, StepEntry
 
@@ -23,6 +26,15 @@ from fuse_grounding.record import ResultEntry, StepEntry
 def print_json(value: Any) -> None:
     """JSON on standard output, nothing else."""
     print(json.dumps(value, indent=1, allow_nan=False))
+
+
+def writable_folder(folder: Path) -> None:
+    """Makes a folder where there is none. Raises InputError when nothing can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(f"folder {folder} cannot be written: {error.strerror}") from None
 
 
 @contextmanager

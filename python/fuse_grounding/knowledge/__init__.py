@@ -17,12 +17,17 @@ from fuse_grounding.perception.lexical import Lexical
 from fuse_grounding.perception.protocol import TextEncoder
 from fuse_grounding.registry import Registry
 
-__all__ = ["SOURCES", "Candidate", "Hypotheses", "KnowledgeSource", "Query", "make", "parse"]
+__all__ = ["SOURCES", "Candidate", "Hypotheses", "KnowledgeSource", "Query", "make", "parse", "replaces"]
 
 SOURCES: Registry[Callable[[KnowledgeConfig, Nearest], KnowledgeSource]] = Registry("knowledge source")
 SOURCES.add("graph", lambda config, nearest: Graph(shipped(), config.top_k))
 SOURCES.add("oracle", lambda config, nearest: Oracle(config.oracle))
 SOURCES.add("direct", lambda config, nearest: Direct(nearest))
+
+
+def replaces(config: KnowledgeConfig) -> bool:
+    """Whether labels that a segmenter does not know become the nearest ones."""
+    return config.source == "direct" or config.open_vocabulary == "nearest"
 
 
 def make(config: KnowledgeConfig, encoder: TextEncoder | None = None) -> KnowledgeSource:

@@ -7,16 +7,25 @@ What ships is in `SEGMENTERS` and `ENCODERS`; what is not there is an entry poin
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from fuse_grounding.config import EncoderConfig, SegmenterConfig
 from fuse_grounding.errors import InputError
-from fuse_grounding.perception import checkpoint, clip, clip_onnx, own, sam3, torch_models
-from fuse_grounding.perception.embedded import DEFAULT_PATH, EmbeddedSegmenter
+from fuse_grounding.perception import (
+    checkpoint,
+    clip,
+    clip_onnx,
+    embedded,
+    embedded_encoder,
+    own,
+    sam3,
+    torch_models,
+)
 from fuse_grounding.perception.lexical import Lexical
-from fuse_grounding.perception.patches import THRESHOLD, PatchSegmenter
+from fuse_grounding.perception.patches import CLIP, Manner, PatchSegmenter
+from fuse_grounding.perception.prompts import words
 from fuse_grounding.perception.protocol import Encoder, Segmenter, TextEncoder
 from fuse_grounding.registry import Registry, unknown
 
@@ -26,6 +35,7 @@ T = TypeVar("T")
 SEGMENTER_GROUP = "fuse_grounding.segmenters"
 ENCODER_GROUP = "fuse_grounding.encoders"
 _RUNTIME = "cpu (ONNX Runtime)"
+EMBEDDED_PATCHES_THRESHOLD = 0.35
 
 
 @dataclass(frozen=True)
@@ -78,11 +88,20 @@ def open_segmenter(config: SegmenterConfig) -> Opened[Segmenter]:
 
 def open_encoder(config: EncoderConfig) -> Opened[TextEncoder]:
     """The configured encoder of words, and of pictures unless it is `lexical`. Raises InputError."""
+    config = settled(config)
     name = _own_name(ENCODERS, ENCODER_GROUP, config.name)
     if name is None:
         return ENCODERS.get(config.name).open(config)
     made: TextEncoder = own.make("encoder", name, config)
     return _opened_own(made, made, config.weights)
+
+
+def settled(config: EncoderConfig) -> EncoderConfig:
+    """`config` with what `auto` stands for on this machine."""
+    if config.name != "auto":
+        return config
+    there = config.weights is not None or embedded_encoder.DEFAULT_PATH.is_file()
+    return config.model_copy(update={"name": "embedded" if there else "lexical"})
 
 
 def _own_name(registry: Registry[T], group: str, name: str) -> str | None:
@@ -112,18 +131,31 @@ def _opened_own(part: T, made: object, weights: Path | None) -> Opened[T]:
 # -- ours ----------------------------------------------------------------------------------------
 
 
-def _embedded_file(config: SegmenterConfig) -> tuple[Path, ...]:
-    path = config.weights or DEFAULT_PATH
-    if not path.is_file():
-        raise InputError(f"the segmenter's weights {path} are no file")
-    return (path,)
-
-
 def _embedded(config: SegmenterConfig) -> Opened[Segmenter]:
     if config.threshold is not None:
         raise InputError("segmenter.threshold is not for `embedded`: its threshold is part of its weights")
-    (weights,) = _embedded_file(config)
-    return Opened(EmbeddedSegmenter(weights), (weights,), (), _RUNTIME)
+    files = embedded.files(config.weights)
+    return Opened(embedded.EmbeddedSegmenter(files[0]), files, (), _RUNTIME)
+
+
+def _embedded_patches(config: SegmenterConfig) -> Opened[Segmenter]:
+    files = embedded_encoder.files(config.weights)
+    eye = embedded_encoder.opened(config.weights)
+    known = eye.settings
+    contrast = tuple(words(text) for text in (*known.labels, known.background))
+    threshold = EMBEDDED_PATCHES_THRESHOLD if config.threshold is None else config.threshold
+    return Opened(PatchSegmenter(eye, Manner("{}", contrast, known.scale, threshold)), files, (), _RUNTIME)
+
+
+def _embedded_encoder(config: EncoderConfig) -> Opened[TextEncoder]:
+    files = embedded_encoder.files(config.weights)
+    return Opened(embedded_encoder.opened(config.weights), files, (), _RUNTIME)
+
+
+def _lexical(config: EncoderConfig) -> Opened[TextEncoder]:
+    if config.weights is not None:
+        raise InputError(f"encoder.weights {config.weights} is not for `lexical`, which has none")
+    return Opened(Lexical(), (), (), "cpu")
 
 
 def _sam3(config: SegmenterConfig) -> Opened[Segmenter]:
@@ -160,8 +192,8 @@ def _clip(weights: Path | None, device: str, section: str, who: str) -> Opened[E
 
 def _clip_patches(config: SegmenterConfig) -> Opened[Segmenter]:
     eye = _clip(config.weights, config.device, "segmenter", "segmenter `clip_patches`")
-    threshold = THRESHOLD if config.threshold is None else config.threshold
-    return Opened(PatchSegmenter(eye.part, threshold), eye.files, eye.packages, eye.device)
+    manner = CLIP if config.threshold is None else replace(CLIP, threshold=config.threshold)
+    return Opened(PatchSegmenter(eye.part, manner), eye.files, eye.packages, eye.device)
 
 
 def _clip_encoder(config: EncoderConfig) -> Opened[TextEncoder]:
@@ -175,7 +207,15 @@ _CLIP_ROUTES = (
     Route("ONNX Runtime", clip_onnx.PACKAGES, "clip-onnx"),
 )
 
-SEGMENTERS.add("embedded", Door(SegmenterConfig(), _embedded_file, _embedded))
+SEGMENTERS.add("embedded", Door(SegmenterConfig(), lambda c: embedded.files(c.weights), _embedded))
+SEGMENTERS.add(
+    "embedded_patches",
+    Door(
+        SegmenterConfig(name="embedded_patches"),
+        lambda c: embedded_encoder.files(c.weights),
+        _embedded_patches,
+    ),
+)
 SEGMENTERS.add(
     "sam3",
     Door(
@@ -196,7 +236,11 @@ SEGMENTERS.add(
         lambda c: _CLIP_ROUTES[_clip_root(c.weights, "segmenter", "segmenter `clip_patches`")[1]],
     ),
 )
-ENCODERS.add("lexical", Door(EncoderConfig(), lambda c: (), lambda c: Opened(Lexical(), (), (), "cpu")))
+ENCODERS.add(
+    "embedded",
+    Door(EncoderConfig(name="embedded"), lambda c: embedded_encoder.files(c.weights), _embedded_encoder),
+)
+ENCODERS.add("lexical", Door(EncoderConfig(name="lexical"), lambda c: (), _lexical))
 ENCODERS.add(
     "clip",
     Door(

@@ -84,6 +84,19 @@ def crops_path(weights: Path) -> Path:
     return weights.with_name(weights.stem + "_crops.onnx")
 
 
+def files(path: Path | None) -> tuple[Path, ...]:
+    """The files of a segmenter that decide results: `path` (None: the shipped one) and those beside it.
+
+    Raises InputError where one is missing.
+    """
+    path = path or DEFAULT_PATH
+    if not path.is_file():
+        raise InputError(f"the segmenter's weights {path} are no file")
+    settings = path.with_suffix(".json")
+    second = (crops_path(path),) if "crops" in _read_settings(settings).sha256 else ()
+    return (path, *second, settings)
+
+
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()

@@ -46,13 +46,17 @@ class TextEncoder(Protocol):
     def text(self, texts: Sequence[str]) -> np.ndarray:
         """(N, D) float32 rows of length 1, or all zero where a text has nothing in common with any.
 
-        Rows of one call are comparable. Raises InputError for a text that cannot be encoded.
+        Rows of one call are comparable; no texts, no rows. Raises InputError for a text that cannot be
+        encoded.
         """
         ...
 
 
 class Encoder(TextEncoder, Protocol):
-    """Places pictures and words in one space, as CLIP does; all vectors are float32 of length 1."""
+    """Places pictures and words in one space, as CLIP does; all vectors are float32 of length 1.
+
+    Vectors of different calls are comparable, too.
+    """
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
         """(D,) of the whole picture (H, W, 3) uint8. Raises InputError."""

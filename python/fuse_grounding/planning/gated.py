@@ -40,7 +40,7 @@ class Gated:
         if self._planner is None:
             return replace(self._explicit.decide(situation, clock), reason=NO_PLANNER)
         with clock("plan"):
-            predicted = np.asarray(self._planner.values(situation.rgb, situation.candidates), np.float32)
+            predicted = np.asarray(self._planner.values(situation), np.float32)
             values = np.where(situation.feasible, predicted, np.nan)
             entropy = evidence.action_entropy(
                 predicted, temperature=self._gate.temperature, mask=situation.feasible

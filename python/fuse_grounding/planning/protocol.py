@@ -38,7 +38,8 @@ class Situation:
     """What is known when the next action is chosen.
 
     `rgb` (H, W, 3) uint8; `feasible` (15,) bool by action index; `camera` the registered camera;
-    `scene` the map; both None for methods that neither register nor map.
+    `scene` the map; both None for methods that neither register nor map. `depth` (H, W) metres and
+    `pitch_index` where they are known.
     """
 
     index: int
@@ -48,6 +49,8 @@ class Situation:
     detections: Sequence[Detection]
     camera: Any | None = None
     scene: SpatialMap | None = None
+    depth: np.ndarray | None = None
+    pitch_index: int | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,6 @@ class Planner(Protocol):
         """How the record calls it."""
         ...
 
-    def values(self, rgb: np.ndarray, candidates: Sequence[Candidate]) -> np.ndarray:
-        """(15,) float predicted evidence gain of each action; picks its object context itself."""
+    def values(self, situation: Situation) -> np.ndarray:
+        """(15,) float predicted utility of each action; picks its object context itself."""
         ...

@@ -8,9 +8,10 @@ a view that COLMAP cannot register.
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -156,6 +157,20 @@ class ColmapRegistrar:
         self._entries.append(_Entry(image_id, observation.camera, placed or self._fallback(observation)))
         self._refresh()
         return self.views()[-1]
+
+    def fork(self) -> ColmapRegistrar:
+        """A twin that goes its own way from here, as if each had taken in all views so far.
+
+        Raises InputError before `initialize` and under the profile "paper".
+        """
+        if self._camera is None:
+            raise InputError("fork was called before initialize: give the seed views first")
+        twin = copy.copy(self)
+        twin._model, twin._correspondences = self._model.fork(), self._correspondences.fork()
+        twin._posed = None if self._posed is None else self._posed.fork()
+        twin._entries = [replace(entry) for entry in self._entries]
+        twin._colours, twin._point_colours = dict(self._colours), dict(self._point_colours)
+        return twin
 
     def views(self) -> list[RegisteredView]:
         """Every view so far, seeds first, with its camera after the latest adjustment."""

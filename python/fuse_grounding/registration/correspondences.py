@@ -5,6 +5,7 @@ Both number images from 1 in order of arrival and hand COLMAP's mapper a `pycolm
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ import pycolmap
 
 from fuse_grounding._core import Camera
 from fuse_grounding.environment.protocol import Observation
-from fuse_grounding.errors import FuseError
+from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.registration import features
 
 _NO_PIXELS = np.zeros((0, 0, 3), np.uint8)
@@ -40,6 +41,10 @@ class Correspondences(Protocol):
 
     def cache(self) -> pycolmap.DatabaseCache:
         """Images and matches as COLMAP's mapper reads them."""
+        ...
+
+    def fork(self) -> Correspondences:
+        """A twin that goes its own way from here. Raises InputError where that cannot be."""
         ...
 
 
@@ -110,6 +115,13 @@ class MemoryCorrespondences:
             graph.add_correspondences(first, second, pairs)
         graph.finalize()
         return cache
+
+    def fork(self) -> MemoryCorrespondences:
+        """A twin that goes its own way from here; it shares what never changes."""
+        twin = copy.copy(self)
+        twin._views, twin._features = list(self._views), list(self._features)
+        twin._inliers = dict(self._inliers)
+        return twin
 
     def _take(self, view: Observation, neighbours: int) -> int:
         found = features.extract(view.rgb, self._max_features, self._contrast)
@@ -187,6 +199,10 @@ class DatabaseCorrespondences:
             return pycolmap.DatabaseCache.create(
                 database, pycolmap.IncrementalPipelineOptions().min_num_matches, False, set()
             )
+
+    def fork(self) -> DatabaseCorrespondences:
+        """Raises InputError: a database has one owner."""
+        raise InputError("registration.profile `paper` keeps a database, of which no copy goes its own way")
 
     def _extract(self, view: Observation) -> int:
         name = f"{len(self._ids) + 1:06d}.png"

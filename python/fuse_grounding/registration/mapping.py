@@ -8,6 +8,7 @@ give the same bits.
 
 from __future__ import annotations
 
+import copy
 import logging
 from itertools import product
 
@@ -75,6 +76,12 @@ class LiveModel:
             self._refine_globally(mapper)
         mapper.end_reconstruction(False)
         return registered and self.pose(image_id) is not None
+
+    def fork(self) -> LiveModel:
+        """A twin that goes its own way from here."""
+        twin = LiveModel(self._seed)
+        twin.reconstruction = copy.deepcopy(self.reconstruction)
+        return twin
 
     def pose(self, image_id: int) -> Pose | None:
         """Camera-from-map of a registered image, else None."""

@@ -7,6 +7,7 @@ in front of it and within `max_error` pixels.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -63,6 +64,15 @@ class PosedRegistrar:
         check_view(observation, "the view", self._cameras[0])
         self._add(observation, camera)
         return self.views()[-1]
+
+    def fork(self) -> PosedRegistrar:
+        """A twin that goes its own way from here."""
+        twin = copy.copy(self)
+        for name in ("_views", "_cameras", "_features", "_rays", "_colours", "_xyz"):
+            setattr(twin, name, list(getattr(self, name)))
+        twin._owner = [owner.copy() for owner in self._owner]
+        twin._tracks = [list(track) for track in self._tracks]
+        return twin
 
     def views(self) -> list[RegisteredView]:
         """Every view at its known pose, seeds first."""

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import onnx
 import torch
-from onnx import TensorProto, helper, numpy_helper
 
+from fuse_grounding import tensors
 from fuse_grounding.errors import InputError
 from fuse_grounding.perception import crops
 from fuse_grounding.perception.embedded import SCHEMA_VERSION, EmbeddedSegmenter, crops_path, mixed
 from fuse_grounding.training.classifier_model import CropNet
+from fuse_grounding.training.onnx_files import export
 from fuse_grounding.training.segmenter_data import Picture
 from fuse_grounding.training.segmenter_model import Exported, SegmenterNet
 from fuse_grounding.training.segmenter_score import correct, isotonic
 
-OPSET = 17
 CANDIDATES = 40
 MIN_HEAT = 0.05
 # Scores below this are not worth a detection.
@@ -34,59 +30,16 @@ def to_onnx(net: SegmenterNet, size: tuple[int, int]) -> bytes:
     """The whole first network for pictures of `size` (width, height), weights stored as float16."""
     model = Exported(net, CANDIDATES, MIN_HEAT).eval()
     example = torch.zeros((1, size[1], size[0], 3), dtype=torch.uint8)
-    return _exported(model, (example,), ["image"], ["heat", "verdict", "masks"], {})
+    return export(model, (example,), ["image"], ["heat", "verdict", "masks"])
 
 
 def crops_to_onnx(net: CropNet) -> bytes:
     """The second network, for any number of crops."""
     example = torch.zeros((2, crops.SIZE[1], crops.SIZE[0], 4), dtype=torch.uint8)
     names = ["crops", "geometry"]
-    free = {name: {0: "objects"} for name in (*names, "logits")}
-    return _exported(net.eval(), (example, torch.zeros(2, crops.GEOMETRY)), names, ["logits"], free)
-
-
-def _exported(
-    model: torch.nn.Module,
-    example: tuple[torch.Tensor, ...],
-    inputs: list[str],
-    outputs: list[str],
-    free: dict[str, dict[int, str]],
-) -> bytes:
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
-        exported = Path(folder) / "network.onnx"
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            model,
-            example,
-            exported,
-            opset_version=OPSET,
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_axes=free,
-            dynamo=False,
-        )
-        graph = onnx.load(exported)
-    _halve(graph.graph)
-    onnx.checker.check_model(graph)
-    serialized: bytes = graph.SerializeToString()
-    return serialized
-
-
-def _halve(graph: onnx.GraphProto) -> None:
-    """Stores large float32 weights as float16 behind a cast, which the runtime folds when it loads."""
-    casts = []
-    for tensor in graph.initializer:
-        if tensor.data_type != TensorProto.FLOAT or np.prod(tensor.dims) < 256:
-            continue
-        name = tensor.name
-        half = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), name + "_half")
-        tensor.CopyFrom(half)
-        casts.append(
-            helper.make_node("Cast", [name + "_half"], [name], name=name + "_cast", to=TensorProto.FLOAT)
-        )
-    nodes = [*casts, *graph.node]
-    del graph.node[:]
-    graph.node.extend(nodes)
+    return export(
+        net.eval(), (example, torch.zeros(2, crops.GEOMETRY)), names, ["logits"], any_number_of="objects"
+    )
 
 
 def write(
@@ -97,7 +50,10 @@ def write(
     size: tuple[int, int],
     training: dict,
 ) -> None:
-    """Writes `path` (.onnx), the second network and the .json; `calibrate` fills its calibration in."""
+    """Writes `path` (.onnx), the second network and the .json; `calibrate` fills its calibration in.
+
+    Raises FuseError when the disk refuses.
+    """
     settings = {
         "schema_version": SCHEMA_VERSION,
         "labels": list(labels),
@@ -111,9 +67,9 @@ def write(
         "thresholds": {"heat": MIN_HEAT, "score": MIN_SCORE, "pixels": 60, "nms_iou": 0.5, "nms_inside": 0.8},
         "training": training,
     }
-    _replace(path, weights)
-    _replace(crops_path(path), second)
-    _replace(path.with_suffix(".json"), (json.dumps(settings, indent=1) + "\n").encode())
+    tensors.write(path, weights)
+    tensors.write(crops_path(path), second)
+    tensors.write(path.with_suffix(".json"), json.dumps(settings, indent=1) + "\n")
 
 
 def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
@@ -147,7 +103,7 @@ def calibrate(path: Path, pictures: Iterable[Picture], described: str) -> int:
     settings = json.loads(settings_path.read_text())
     settings["mixture"] = list(mixture)
     settings["calibration"] = {"raw": x, "score": y, "fitted_on": described, "pairs": int(likely.sum())}
-    _replace(settings_path, (json.dumps(settings, indent=1) + "\n").encode())
+    tensors.write(settings_path, json.dumps(settings, indent=1) + "\n")
     return int(likely.sum())
 
 
@@ -164,9 +120,3 @@ def fit_mixture(
         return -float(np.log(np.maximum(p[np.arange(len(truth)), truth], 1e-9)).mean())
 
     return min(((float(a), float(b)) for a in grid for b in grid if a + b > 0), key=lambda m: surprise(*m))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)

@@ -1,0 +1,64 @@
+"""From a torch module to the bytes of an ONNX file with weights in half precision. Needs torch and onnx."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+OPSET = 17
+
+
+def export(
+    model: torch.nn.Module,
+    example: tuple[torch.Tensor, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    any_number_of: str | None = None,
+) -> bytes:
+    """The whole network for inputs of the example's shapes, large weights stored as float16.
+
+    `any_number_of`: what the first axis of all inputs and outputs counts, where it is not the example's.
+    """
+    free = {} if any_number_of is None else {name: {0: any_number_of} for name in (*inputs, *outputs)}
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
+        exported = Path(folder) / "network.onnx"
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            model,
+            example,
+            exported,
+            opset_version=OPSET,
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_axes=free,
+            dynamo=False,
+        )
+        graph = onnx.load(exported)
+    _halve(graph.graph)
+    onnx.checker.check_model(graph)
+    return graph.SerializeToString()
+
+
+def _halve(graph: onnx.GraphProto) -> None:
+    """Stores large float32 weights as float16 behind a cast, which the runtime folds when it loads."""
+    casts = []
+    for tensor in graph.initializer:
+        if tensor.data_type != TensorProto.FLOAT or np.prod(tensor.dims) < 256:
+            continue
+        name = tensor.name
+        half = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), name + "_half")
+        tensor.CopyFrom(half)
+        casts.append(
+            helper.make_node("Cast", [name + "_half"], [name], name=name + "_cast", to=TensorProto.FLOAT)
+        )
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)

@@ -1,0 +1,428 @@
+"""The learned planner: what it reads, its network and files, its training, how it is judged, its gate."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_networks import write_encoder, write_planner
+
+from fuse_grounding.benchmark.methods import resolve
+from fuse_grounding.config import Config
+from fuse_grounding.environment import load_episodes
+from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.knowledge.protocol import Candidate
+from fuse_grounding.perception.protocol import Detection
+from fuse_grounding.planning.amortized import WEIGHTS, Network, load_planner
+from fuse_grounding.planning.context import nearest_candidate
+from fuse_grounding.planning.protocol import Situation
+from fuse_grounding.planning.summary import NAMES, summarize
+from fuse_grounding.record import Stopwatch
+from fuse_grounding.training import gate, planner_score, transitions
+from fuse_grounding.training.transitions import Transitions
+
+H, W = 48, 64
+
+
+def situation(detections: list[Detection] | None = None, depth: float | None = 0.75) -> Situation:
+    feasible = np.ones(15, bool)
+    feasible[10:] = False  # the lower pitch: further down is masked
+    return Situation(
+        index=0,
+        rgb=np.random.default_rng(0).integers(0, 255, (H, W, 3), np.uint8),
+        feasible=feasible,
+        candidates=[Candidate("knife", 1.0, ""), Candidate("mug", 0.5, "")],
+        detections=detections or [],
+        depth=None if depth is None else np.full((H, W), depth, np.float32),
+        pitch_index=2,
+    )
+
+
+@pytest.fixture(scope="module")
+def encoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_encoder(tmp_path_factory.mktemp("encoder"))
+
+
+def settings(encoder: Path, planner: Path, name: str = "plain", method: str = "amortized") -> Config:
+    return Config().with_(
+        method=method,
+        planner={"name": name, "weights": str(planner)},
+        encoder={"weights": str(encoder)},
+    )
+
+
+# -- what it reads ------------------------------------------------------------------------------------
+
+
+def test_the_summary_says_where_the_candidates_are():
+    left, right = np.zeros((H, W), bool), np.zeros((H, W), bool)
+    left[0:16, 0:16] = True
+    right[32:40, 40:48] = True
+    config = Config().with_(stopping={"min_region_px": 50})
+    seen = situation([Detection("mug", 0.4, right), Detection("knife", 0.8, left)])
+    found = dict(zip(NAMES, summarize(seen, config).tolist(), strict=True))
+    assert (found["pitch_0"], found["pitch_1"], found["pitch_2"]) == (0, 0, 1)
+    assert found["semantic_00"] == pytest.approx(0.8)
+    assert found["semantic_22"] == pytest.approx(0.4 * 64 / 256)
+    assert found["semantic_11"] == 0
+    assert found["best_score"] == pytest.approx(0.8)
+    assert (found["best_x"], found["best_y"]) == pytest.approx((8 / 64, 8 / 48))
+    assert found["best_size"] == pytest.approx(np.sqrt(256 / (H * W)))
+    assert found["best_depth_m"] == pytest.approx(0.75)
+    assert found["best_fused"] == pytest.approx(0.7 * 0.8 + 0.3 * 0.5)
+    touches = [found[f"best_touches_{side}"] for side in ("left", "right", "top", "bottom")]
+    assert touches == [1, 0, 1, 0]
+    assert (found["second_score"], found["second_x"], found["second_y"]) == pytest.approx(
+        (0.4, 44 / 64, 36 / 48)
+    )
+    assert found["detections_of_10"] == pytest.approx(0.2)
+    nothing = summarize(situation([], depth=None), config)
+    assert nothing[NAMES.index("pitch_2")] == 1
+    assert nothing.sum() == 1
+
+
+def test_the_object_context_is_the_candidate_most_like_the_picture():
+    class Axes:
+        name, dimensions = "axes", 3
+
+        def text(self, labels: Any) -> np.ndarray:
+            return np.eye(3, dtype=np.float32)[[("knife", "mug", "pen").index(label) for label in labels]]
+
+    image = np.array([0.1, 0.2, 0.9], np.float32)
+    encoder: Any = Axes()
+    assert nearest_candidate(encoder, image, ["knife", "mug"]) == "mug"
+    assert nearest_candidate(encoder, image, ["knife", "pen", "mug"]) == "pen"
+
+
+# -- network and policy -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["plain", "extended"])
+def test_the_policy_takes_the_best_feasible_action(encoder: Path, tmp_path: Path, kind: str):
+    values = np.zeros(15)
+    values[12], values[7], values[3] = 0.9, 0.5, 0.4  # the best is masked, the next one stays
+    planner = write_planner(tmp_path / "p.onnx", encoder, kind, values)
+    method, config = resolve(settings(encoder, planner, kind))
+    policy = method.policy(config, 0)
+    assert not method.maps
+    assert policy.planner == kind
+    clock = Stopwatch()
+    decision = policy.decide(situation(), clock)
+    assert (decision.action, decision.branch) == (7, "amortized")
+    assert decision.values is not None
+    assert np.flatnonzero(np.isnan(decision.values)).tolist() == [10, 11, 12, 13, 14]
+    np.testing.assert_allclose(decision.values[:10], values[:10])
+    assert "plan" in clock.seconds
+
+
+def test_the_gate_uses_it(encoder: Path, tmp_path: Path):
+    values = np.zeros(15)
+    values[8] = 1.0
+    planner = write_planner(tmp_path / "p.onnx", encoder, values=values)
+    method, config = resolve(settings(encoder, planner, method="fuse"))
+    decision = method.policy(config, 0).decide(situation(), Stopwatch())
+    assert (decision.branch, decision.action) == ("amortized", 8)
+    _, plain = resolve(Config().with_(method="fuse", planner={"name": "none"}))
+    assert load_planner(plain) is None
+
+
+def test_an_agents_provenance_names_planner_and_encoder(encoder: Path, tmp_path: Path):
+    from fuse_grounding.assembly import assemble
+
+    planner = write_planner(tmp_path / "p.onnx", encoder)
+    parts, _ = assemble(settings(encoder, planner))
+    assert {"segmenter", "planner", "encoder", "encoder_text"} <= set(parts.provenance["sha256"])
+    parts, _ = assemble(settings(encoder, planner).with_(method="static"))
+    assert set(parts.provenance["sha256"]) == {"segmenter"}
+
+
+def test_planners_that_do_not_fit_are_refused(encoder: Path, tmp_path: Path):
+    planner = write_planner(tmp_path / "p.onnx", encoder)
+    with pytest.raises(InputError, match=r"of a planner `plain`, planner\.name asks for `extended`"):
+        load_planner(settings(encoder, planner, "extended"))
+    (tmp_path / "other").mkdir()
+    other = write_encoder(tmp_path / "other", seed=1)
+    with pytest.raises(
+        InputError, match=r"p\.onnx was trained with another encoder than .*its network differs"
+    ):
+        load_planner(settings(other, planner))
+    (tmp_path / "narrow").mkdir()
+    narrow = write_encoder(tmp_path / "narrow", dimensions=64)
+    wide = write_planner(tmp_path / "wide.onnx", narrow)
+    with pytest.raises(InputError, match=r"on vectors of 512 dimensions, the encoder `embedded` gives 64"):
+        load_planner(settings(narrow, wide))
+
+
+def test_damaged_planner_files_are_refused_by_name(encoder: Path, tmp_path: Path):
+    planner = write_planner(tmp_path / "p.onnx", encoder)
+    described = planner.with_suffix(".json")
+    whole, text = planner.read_bytes(), described.read_text()
+    planner.write_bytes(whole[:-5])
+    with pytest.raises(InputError, match=r"p\.onnx is damaged or not the file that p\.json describes"):
+        Network(planner)
+    planner.write_bytes(whole)
+    for broken, sentence in (
+        (text[:40], "is not a planner's settings file"),
+        (text.replace('"schema_version": 1', '"schema_version": 2'), "schema version 2, expected 1"),
+        (text.replace('"plain"', '"wild"'), "`kind` must be plain or extended, found `wild`"),
+        (text.replace('"plain"', '"extended"'), "is the network of something else"),
+        (text.replace("512", "64"), "is the network of something else"),
+    ):
+        described.write_text(broken)
+        with pytest.raises(InputError, match=sentence):
+            Network(planner)
+
+
+# -- tables -------------------------------------------------------------------------------------------
+
+
+def tables(states: int = 60, seed: int = 0, dimensions: int = 512) -> Transitions:
+    """Every action measured in every state. What is worth doing is written in the picture's first numbers:
+    the best action is the one whose own number is largest."""
+    rng = np.random.default_rng(seed)
+    feature = rng.standard_normal((states, dimensions))
+    feature[:, :3] *= 15.0
+    feature /= np.linalg.norm(feature, axis=1, keepdims=True)
+    feasible = np.ones((states, 15), bool)
+    feasible[::3, :5] = False
+    before, action = np.nonzero(feasible)
+    terms = np.zeros((len(before), 5), np.float32)
+    terms[:, 0] = feature[before, action // 5]
+    return Transitions(
+        texts=np.eye(4, dimensions).astype(np.float16),
+        number=np.arange(states // 2, dtype=np.int32),
+        feature=feature.astype(np.float16),
+        summary=rng.standard_normal((states, len(NAMES))).astype(np.float16),
+        levels=np.zeros((states, 5), np.float32),
+        feasible=feasible,
+        context=rng.integers(0, 4, states).astype(np.int32),
+        candidates=np.ones((states, 4), bool),
+        viewpoint=np.zeros((states, 2), np.int32),
+        trajectory=(np.arange(states) // 2).astype(np.int32),
+        step=np.zeros(states, np.int32),
+        before=before.astype(np.int32),
+        after=before.astype(np.int32),
+        action=action.astype(np.int32),
+        terms=terms,
+        utility=transitions.utility(terms),
+    )
+
+
+def test_utility_is_the_papers_sum():
+    before = np.array([0.2, 0.5, 0.1, 0.4, 0.3], np.float32)
+    after = np.array([0.5, 0.3, 0.3, 0.9, 0.1], np.float32)
+    terms = transitions.gains(before, after)
+    np.testing.assert_allclose(terms, [0.3, 0.2, 0.2, 0.5, -0.2], atol=1e-6)
+    assert transitions.utility(terms) == pytest.approx(0.3 + 0.1 + 0.2 + 0.1 - 0.2)
+    assert transitions.utility(np.full(5, 2.0)) == 1.0
+    assert transitions.utility(np.full(5, -2.0)) == -1.0
+
+
+def test_tables_come_back_and_are_joined(tmp_path: Path):
+    one, two = tables(4, 0), tables(6, 1)
+    (tmp_path / "t").write_bytes(transitions.joined([one, two]).encode({"labels": ["a"]}))
+    found, note = transitions.load(tmp_path / "t")
+    assert note == {"labels": ["a"]}
+    assert len(found) == len(one) + len(two)
+    np.testing.assert_array_equal(found.feature[found.before[len(one) :]], two.feature[two.before])
+    np.testing.assert_array_equal(found.trajectory, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4])
+
+
+def test_tables_that_do_not_fit_together_are_refused_by_name(tmp_path: Path):
+    from fuse_grounding import tensors
+
+    path, good = tmp_path / "t.safetensors", tables(4)
+    with pytest.raises(InputError, match=r"t\.safetensors does not exist"):
+        transitions.load(path)
+    content = good.encode({})
+    wrong = {
+        "is not a sound safetensors file": content[: len(content) // 2],
+        "holds no planner transitions: its kind is `none`": b"\x02\0\0\0\0\0\0\0{}",
+        "has schema version 9, expected 1": tensors.encode(transitions.KIND, 9, good.arrays(), {}),
+        r"`utility` is float32 of shape \(3,\), expected float32 of \(50\)": replace(
+            good, utility=good.utility[:3]
+        ).encode({}),
+        "`action` must be from 0 to 14, found 0 to 15": replace(
+            good, action=np.where(good.action == 14, 15, good.action)
+        ).encode({}),
+        "an `action` is not `feasible` where it was taken": replace(
+            good, feasible=np.zeros_like(good.feasible)
+        ).encode({}),
+        "`utility` is not the weighted sum of `terms`": replace(good, utility=good.utility + 0.1).encode({}),
+        "`summary` has values that are not finite": replace(
+            good, summary=np.full_like(good.summary, np.nan)
+        ).encode({}),
+    }
+    for sentence, bad in wrong.items():
+        path.write_bytes(bad)
+        with pytest.raises(InputError, match=rf"t\.safetensors.*{sentence}"):
+            transitions.load(path)
+
+
+# -- training and judgement ---------------------------------------------------------------------------
+
+
+def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from fuse_grounding.training import planner as training
+
+    data = tables(40)
+    made: dict[str, Path] = {}
+    plain: Any = None
+    for kind, name in (("plain", "again"), ("plain", "first"), ("extended", "first")):
+        config = training.settings(kind, 0)
+        trained = training.train(data, config, lambda line: None)
+        (tmp_path / name).mkdir(exist_ok=True)
+        made[kind] = tmp_path / name / f"{kind}.onnx"
+        training.write(made[kind], trained, config, {"network": "n", "text": "t"}, {"sha256": "s"})
+        sizes = [tuple(m.weight.shape) for m in trained.net.mlp if isinstance(m, torch.nn.Linear)]
+        extra = len(NAMES) if kind == "extended" else 0
+        assert sizes == [(512, 1056 + extra), (512, 512), (1, 512)]
+        assert trained.net.actions.weight.shape == (15, 32)
+        assert len(trained.training) == 20
+        assert trained.held_out[-1] < 0.6 * trained.constant
+        assert made[kind].stat().st_size < 2e6
+        plain = trained.net if kind == "plain" else plain
+    assert made["plain"].read_bytes() == (tmp_path / "again" / "plain.onnx").read_bytes()
+    paper = training.settings("plain", 0)
+    assert (paper.learning_rate, paper.batch, paper.weight_decay, paper.dropout) == (1e-3, 64, 0.0, 0.0)
+    network = Network(made["plain"])
+    others = tables(40, seed=9)
+    found = planner_score.choices(others, planner_score.by_network(others, network))
+    scored = planner_score.score(found)
+    assert scored["rank_correlation"]["within_states"] > 0.5
+    assert scored["gained_on_random"]["low"] > 0
+    with torch.no_grad():
+        rows = [torch.from_numpy(x.astype(np.float32)) for x in (data.feature[:1], data.texts[:1])]
+        expected = training.Exported(plain)(*rows).numpy()
+    values = network.values(data.feature[0], data.texts[0], None)
+    np.testing.assert_allclose(values, expected, atol=5e-3)  # weights are halved
+
+
+def choices(measured: list[list[float]], predicted: list[list[float]]) -> planner_score.Choices:
+    full = [np.full((len(rows), 15), np.nan) for rows in (measured, predicted)]
+    for table, rows in zip(full, (measured, predicted), strict=True):
+        for i, row in enumerate(rows):
+            table[i, 5 : 5 + len(row)] = row
+    return planner_score.Choices(full[0], full[1], np.array([0.2, 0.9]), np.arange(2))
+
+
+def test_regret_is_what_the_best_action_would_have_added():
+    found = choices([[0.0, 0.4, 0.1], [0.3, -0.3, 0.0]], [[0.9, 0.5, 0.1], [0.2, 0.1, 0.0]])
+    np.testing.assert_allclose(found.top, [0.4, 0.0])
+    np.testing.assert_allclose(found.stay, [0.3, 0.3])  # staying is action 7
+    np.testing.assert_allclose(found.random, [0.4 - 0.5 / 3, 0.3])
+    scored = planner_score.score(found)
+    assert scored["regret"]["top"] == {"mean": 0.2, "low": 0.0, "high": 0.4}
+    gate = {side["eta"]: side for side in scored["gate"]}
+    assert (gate[0.6]["trusted"], gate[0.6]["regret_trusted"], gate[0.6]["regret_left"]) == (0.5, 0.4, 0.0)
+    assert gate[0.9]["regret_left"] is None
+    assert scored["entropy_regret_correlation"] == -1.0
+
+
+def test_rank_correlation_is_spearmans():
+    stats = pytest.importorskip("scipy.stats")
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 6, 50), rng.integers(0, 6, 50) + rng.integers(0, 3, 50)
+    assert planner_score.rank_correlation(a, b) == pytest.approx(stats.spearmanr(a, b).statistic)
+    assert np.isnan(planner_score.rank_correlation(a, np.zeros(50)))
+
+
+def test_only_states_with_every_action_are_judged():
+    data = tables(4)
+    few = replace(
+        data,
+        **{n: getattr(data, n)[:-1] for n in ("before", "after", "action", "terms", "utility")},
+    )
+    found = planner_score.choices(few, lambda state: np.arange(15.0))
+    assert len(found.measured) == 3
+    one = replace(
+        data, **{n: getattr(data, n)[:1] for n in ("before", "after", "action", "terms", "utility")}
+    )
+    with pytest.raises(InputError, match="no state has every feasible action measured"):
+        planner_score.choices(one, lambda state: np.arange(15.0))
+
+
+def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    pytest.importorskip("matplotlib")
+    from fuse_grounding.cli.app import execute
+
+    digests = json.loads(encoder.with_suffix(".json").read_text())["sha256"]
+    note = {"split": "dev", "encoder": digests}
+    source = tmp_path / "t.safetensors"
+    source.write_bytes(tables(30).encode(note))
+    line = f"train planner --transitions {source} --out {tmp_path / 'p'}"
+    assert execute([*line.split(), "--kind", "plain"]) == 0
+    assert "always the mean" in capsys.readouterr().out
+    judged = [*line.split(), "--kind", "plain", "--evaluate", "--weights", str(tmp_path / "p"), "--json"]
+    assert execute(judged) == 2
+    assert "was trained on" in capsys.readouterr().err
+    source.write_bytes(tables(30, seed=1).encode(note))
+    assert execute(judged) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / "p" / "evaluation.json").read_text())
+    assert told["planners"]["plain"]["states"] == 30
+    assert (tmp_path / "p" / "gate_calibration.png").stat().st_size > 5000
+    source.write_bytes(tables(30).encode({**note, "encoder": {"network": "x", "text": "y"}}))
+    assert execute(judged) == 2
+    assert "are of different encoders" in capsys.readouterr().err
+    source.write_bytes(tables(30).encode({}))
+    assert execute(judged) == 2
+    assert "does not say of which split it is" in capsys.readouterr().err
+
+
+# -- the gate's threshold -----------------------------------------------------------------------------
+
+
+class _Episode:
+    def __init__(self, name: str, split: str = "dev"):
+        self.episode_id, self.split = name, split
+
+
+@pytest.mark.skipif(not (WEIGHTS / "gate.json").exists(), reason="no choice of the threshold is recorded yet")
+def test_the_default_threshold_is_the_recorded_choice():
+    recorded = json.loads((WEIGHTS / "gate.json").read_text())
+    assert Config().gate.eta == recorded["chosen"]
+    assert recorded["episodes"] == [e.episode_id for e in load_episodes("dev")[:5]]
+
+
+def test_the_threshold_with_most_successes_is_chosen(
+    encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    planner = write_planner(tmp_path / "p.onnx", encoder)
+
+    def play(agent: Any, method: str, episode: Any, index: int) -> dict[str, Any]:
+        eta = agent.config.gate.eta
+        return {
+            "status": "ok",
+            "episode_id": episode.episode_id,
+            "success": index == 0 or eta >= 0.7,
+            "iou": 0.9 if eta == 0.7 else 0.8,
+            "online_actions": 9,
+            "branches": {"explicit": 4, "amortized": 5},
+            "wall_seconds": 1.0,
+        }
+
+    monkeypatch.setattr(gate, "run_one", play)
+    config = settings(encoder, planner, method="fuse")
+    heard: list[float] = []
+    episodes: Any = [_Episode("dev_0000"), _Episode("dev_0001")]
+    result = gate.tune(config, episodes, lambda eta, row: heard.append(eta))
+    assert result["chosen"] == 0.7
+    assert [p["success"] for p in result["curve"]] == [0.5, 1.0, 1.0, 1.0]
+    assert heard == [0.6, 0.6, 0.7, 0.7, 0.8, 0.8, 0.9, 0.9]
+    assert {"planner", "encoder"} <= set(result["provenance"]["sha256"])
+    with pytest.raises(InputError, match="episode eval_0 is for evaluation: nothing is tuned on it"):
+        gate.tune(config, [_Episode("eval_0", "eval")], lambda eta, row: None)  # type: ignore[list-item]
+    with pytest.raises(InputError, match="there is no planner whose gate could be tuned"):
+        gate.tune(config.with_(planner={"name": "none"}), episodes, lambda eta, row: None)
+    monkeypatch.setattr(gate, "run_one", lambda *_: {"status": "failed", "error": "boom"})
+    with pytest.raises(FuseError, match=r"dev_0000 failed at eta 0\.6: boom"):
+        gate.tune(config, episodes, lambda eta, row: None)
