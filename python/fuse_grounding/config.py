@@ -6,22 +6,16 @@ is not understood is refused with the file, the key, what was found and what was
 
 from __future__ import annotations
 
-import difflib
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive
+from fuse_grounding.config_text import explain, merge, parse_override, read
 from fuse_grounding.errors import InputError
 from fuse_grounding.splat import OFFICIAL, TrainerConfig
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 class Section(BaseModel):
@@ -325,13 +319,13 @@ class Config(Section):
 
         Raises InputError naming file (or `--set`), key, what was found and what was expected.
         """
-        values = _read(Path(path)) if path is not None else {}
+        values = read(Path(path)) if path is not None else {}
         origin = str(path) if path is not None else "config"
         cls.from_dict(values, origin)  # blames the file for its own mistakes, before any override
         for text in overrides:
-            override = _parse_override(text)
+            override = parse_override(text)
             cls.from_dict(override, f"--set {text}")
-            _merge(values, override)
+            merge(values, override)
         return cls.from_dict(values, origin)
 
     @classmethod
@@ -340,7 +334,7 @@ class Config(Section):
         try:
             config = cls.model_validate(values)
         except ValidationError as error:
-            raise InputError(f"{origin}: {_explain(error)}") from None
+            raise InputError(f"{origin}: {explain(error, cls)}") from None
         if config.stopping.near_m >= config.stopping.far_m:
             stopping = config.stopping
             raise InputError(
@@ -356,66 +350,5 @@ class Config(Section):
     def with_(self, **sections: Mapping[str, Any] | str) -> Config:
         """A copy with some settings changed: `config.with_(knowledge={"source": "oracle"})`."""
         values = self.to_dict()
-        _merge(values, {("return" if k == "return_" else k): v for k, v in sections.items()})
+        merge(values, {("return" if k == "return_" else k): v for k, v in sections.items()})
         return Config.from_dict(values)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"config file {path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"config file {path} cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"config file {path} is not valid TOML: {error}") from None
-
-
-def _parse_override(text: str) -> dict[str, Any]:
-    key, equals, value = text.partition("=")
-    parts = [p.strip() for p in key.split(".")]
-    if not equals or not all(parts):
-        raise InputError(f"--set {text}: expected section.key=value, such as gate.eta=0.7")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        parsed = value.strip()  # a bare word, such as graph
-    for part in reversed(parts):
-        parsed = {part: parsed}
-    return parsed
-
-
-def _merge(into: dict[str, Any], values: Mapping[str, Any]) -> None:
-    for key, value in values.items():
-        if isinstance(value, Mapping) and isinstance(into.get(key), dict):
-            _merge(into[key], value)
-        else:
-            into[key] = dict(value) if isinstance(value, Mapping) else value
-
-
-def _explain(error: ValidationError) -> str:
-    """The first complaint as one sentence: key, found, expected."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _keys_beside(first["loc"])
-        near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
-        return f"unknown key `{key}`; " + (
-            f"did you mean `{near[0]}`?" if near else f"known here: {', '.join(known)}"
-        )
-    expected = (first["msg"][0].lower() + first["msg"][1:]).removeprefix("input should be ")
-    if first["type"] == "model_type":
-        expected = "a table of settings"
-    return f"`{key}`: found {first['input']!r}, expected: {expected}"
-
-
-def _keys_beside(loc: tuple[int | str, ...]) -> list[str]:
-    """Keys that the section of a wrong key knows."""
-    model: Any = Config
-    for part in loc[:-1]:
-        fields = {(f.alias or name): f for name, f in model.model_fields.items()}
-        if part not in fields:
-            return []
-        kind = fields[str(part)].annotation
-        model = next((t for t in (kind, *get_args(kind)) if isinstance(t, type)), kind)
-    return [f.alias or name for name, f in model.model_fields.items()]

@@ -87,7 +87,7 @@ def test_the_summary_says_where_the_candidates_are():
 
 def test_the_object_context_is_the_candidate_most_like_the_picture():
     class Axes:
-        name, dimensions = "axes", 3
+        name = "axes"
 
         def text(self, labels: Any) -> np.ndarray:
             return np.eye(3, dtype=np.float32)[[("knife", "mug", "pen").index(label) for label in labels]]
@@ -135,9 +135,9 @@ def test_an_agents_provenance_names_planner_and_encoder(encoder: Path, tmp_path:
 
     planner = write_planner(tmp_path / "p.onnx", encoder)
     parts, _ = assemble(settings(encoder, planner))
-    assert {"segmenter", "planner", "encoder", "encoder_text"} <= set(parts.provenance["sha256"])
+    assert set(parts.provenance["sha256"]) == {"segmenter", "encoder", "planner", "planner_encoder"}
     parts, _ = assemble(settings(encoder, planner).with_(method="static"))
-    assert set(parts.provenance["sha256"]) == {"segmenter"}
+    assert set(parts.provenance["sha256"]) == {"segmenter", "encoder"}
 
 
 def test_planners_that_do_not_fit_are_refused(encoder: Path, tmp_path: Path):
@@ -169,8 +169,8 @@ def test_damaged_planner_files_are_refused_by_name(encoder: Path, tmp_path: Path
         (text[:40], "is not a planner's settings file"),
         (text.replace('"schema_version": 1', '"schema_version": 2'), "schema version 2, expected 1"),
         (text.replace('"plain"', '"wild"'), "`kind` must be plain or extended, found `wild`"),
-        (text.replace('"plain"', '"extended"'), "is the network of something else"),
-        (text.replace("512", "64"), "is the network of something else"),
+        (text.replace('"plain"', '"extended"'), "is another network: it takes image"),
+        (text.replace("512", "64"), r"is another network: it takes image \[1, 512\]"),
     ):
         described.write_text(broken)
         with pytest.raises(InputError, match=sentence):

@@ -51,6 +51,7 @@ def encoder(
     from fuse_grounding.training import encoder_data as pictures
     from fuse_grounding.training import encoder_export as export
     from fuse_grounding.training import encoder_text as texts
+    from fuse_grounding.training import loop
     from fuse_grounding.training.encoder_model import INNER, rotation
     from fuse_grounding.training.segmenter_data import Picture, Shards, write_shards
 
@@ -71,7 +72,7 @@ def encoder(
             write_shards(
                 data / name, count, render_shard, base, lambda n: console.print(f"{name}: {n} pictures")
             )
-            folders.append(Shards(data / name, labels))
+            folders.append(Shards(data / name, labels, count))
 
     have("randomised", render, lambda shard, n: _core.randomized_pictures(shard, n), seed)
     have("scenes", scenes, lambda shard, n: pictures.scene_pictures("train", shard, n), SCENE_SEED + seed)
@@ -81,7 +82,9 @@ def encoder(
     phrases = [[way.format(word) for word in said] for way in training.PHRASES]
     phrases.append([*labels, training.BACKGROUND])
     vectors = np.stack([text(words) @ inner for words in phrases])
-    run = training.train(pictures.Mixture(folders), labels, vectors, out, config, console.print)
+    run = training.Training(labels, vectors, config)
+    batches = training.batches(pictures.Mixture(folders), len(labels), config)
+    loop.train(run, batches, steps, out, "encoder", console.print)
     described = {
         "seed": seed,
         "steps": run.step,

@@ -56,7 +56,7 @@ def planner(
     from fuse_grounding.training import planner as training
 
     console = Console(quiet=as_json, soft_wrap=True, highlight=False, markup=False)
-    described = {"sha256": sha256(source), "split": note["split"], "rows": len(data)}
+    described = {"sha256": sha256([source]), "split": note["split"], "rows": len(data)}
     results: dict[str, Any] = {}
     for one in kinds:
         console.print(f"planner `{one}` from {len(data)} transitions")
@@ -87,13 +87,13 @@ def _evaluate(
         network = Network(path)
         if network.settings.encoder != note["encoder"]:
             raise InputError(f"{path} and {source} are of different encoders: train the planner anew")
-        if network.settings.transitions == sha256(source):
+        if network.settings.transitions == sha256([source]):
             raise InputError(f"{path} was trained on {source}: judge it on others (fuse collect --split dev)")
         values = scoring.by_network(data, network)
         found[kind] = scoring.choices(data, values)
         seconds = scoring.decision_seconds(values)
-        figures[kind] = {"weights": sha256(path), **scoring.score(found[kind]), "decision_seconds": seconds}
-    result = {"transitions": sha256(source), "split": note["split"], "planners": figures}
+        figures[kind] = {"weights": sha256([path]), **scoring.score(found[kind]), "decision_seconds": seconds}
+    result = {"transitions": sha256([source]), "split": note["split"], "planners": figures}
     tensors.write(out / "evaluation.json", json.dumps(result, indent=1) + "\n")
     scoring.draw(found, out / "gate_calibration.png")
     if as_json:

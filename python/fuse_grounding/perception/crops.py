@@ -38,8 +38,8 @@ def frame_of(mask: np.ndarray) -> Frame:
     height = mask.shape[0]
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     top, left = int(rows[0]), int(columns[0])
-    y, x = np.nonzero(mask[top : int(rows[-1]) + 1, left : int(columns[-1]) + 1])
-    x, y = x.astype(np.float64) + (left + 0.5), y.astype(np.float64) + (top + 0.5)
+    inside = np.argwhere(mask[top : int(rows[-1]) + 1, left : int(columns[-1]) + 1])
+    y, x = inside.T.astype(np.float64) + np.array([[top + 0.5], [left + 0.5]])
     mx, my = x.mean(), y.mean()
     dx, dy = x - mx, y - my
     # A twelfth: the variance of a pixel.
@@ -78,7 +78,7 @@ def crop(rgb: np.ndarray, mask: np.ndarray, frame: Frame) -> np.ndarray:
     reach = 0.5 * np.hypot(*SIZE) / frame.scale + 2
     x0, x1 = int(max(frame.center[0] - reach, 0)), int(min(frame.center[0] + reach + 1, width))
     y0, y1 = int(max(frame.center[1] - reach, 0)), int(min(frame.center[1] + reach + 1, height))
-    part = np.empty((y1 - y0, x1 - x0, 4), np.uint8)
+    part: np.ndarray = np.empty((y1 - y0, x1 - x0, 4), np.uint8)
     part[..., :3] = rgb[y0:y1, x0:x1]
     part[..., 3] = mask[y0:y1, x0:x1]
     part[..., 3] *= 255

@@ -15,8 +15,7 @@ import torch.nn.functional as F
 
 from fuse_grounding.training.classifier_data import Crop, training_crops
 from fuse_grounding.training.classifier_model import CropNet
-from fuse_grounding.training.loop import Average, learning_rate
-from fuse_grounding.training.segmenter import same_run
+from fuse_grounding.training.loop import Average, learning_rate, same_run
 from fuse_grounding.training.segmenter_data import Shards
 
 

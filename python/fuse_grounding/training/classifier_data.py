@@ -31,7 +31,7 @@ def training_crops(picture: Picture, table: np.ndarray, rng: np.random.Generator
     rgb, ids, _ = picture
     area = np.bincount(ids.reshape(-1), minlength=256)
     present = [int(i) for i in np.nonzero(area >= SMALLEST_PX)[0] if i > 0]
-    chosen = rng.permutation(present)[:most] if present else []
+    chosen: np.ndarray | list[int] = rng.permutation(present)[:most] if present else []
     found = []
     for i in chosen:
         mask, category = ids == i, int(table[i])
@@ -80,7 +80,7 @@ def _redrawn(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The mask as seen through a network: smoother, its edge a little in or out, now and then a bite."""
     if rng.random() < 0.3:
         return mask
-    soft = mask.astype(np.float32)
+    soft: np.ndarray = mask.astype(np.float32)
     sigma = float(rng.uniform(0.6, 2.2))
     soft = cv2.GaussianBlur(soft, (0, 0), sigma)
     level = float(np.clip(rng.normal(0.45, 0.1), 0.2, 0.75))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -25,7 +27,8 @@ class CropNet(nn.Module):
         self.categories = categories
         self.backbone = Backbone(BLOCKS)
         frozen = Backbone.FROZEN_BLOCKS
-        self.mask_in = nn.Conv2d(1, self.backbone.blocks[frozen - 1].project.conv.out_channels, 1)
+        seen = cast(nn.Conv2d, self.backbone.get_submodule(f"blocks.{frozen - 1}.project.conv"))
+        self.mask_in = nn.Conv2d(1, seen.out_channels, 1)
         nn.init.zeros_(self.mask_in.weight)
         assert self.mask_in.bias is not None
         nn.init.zeros_(self.mask_in.bias)

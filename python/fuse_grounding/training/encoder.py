@@ -10,27 +10,21 @@ killed and resumed ends with the same bits, on any number of threads.
 
 from __future__ import annotations
 
-import json
-import math
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fuse_grounding import tensors
-from fuse_grounding.errors import InputError
 from fuse_grounding.training.encoder_data import IGNORED, Mixture, Sample, make_sample
 from fuse_grounding.training.encoder_model import EncoderNet, Views
+from fuse_grounding.training.loop import Average, learning_rate, same_run
 
-LOG_EVERY, SAVE_EVERY = 25, 100
 PHRASES = ("{}", "a {}", "a photo of a {}", "a {} on a table", "the {} over there")
 BACKGROUND = "background"
 WEIGHTS = {"image": 1.0, "patch": 0.5, "layout": 0.5}
@@ -56,7 +50,7 @@ class TrainConfig:
 
 
 class Training:
-    """Network, averaged network and optimiser of one run; `save` and `resume` are exact.
+    """Network, averaged network and optimiser of one run, as `loop.train` drives it.
 
     `phrases` (P, labels + 1, inner): every label, then background, in each way of saying it, of unit length.
     """
@@ -69,7 +63,7 @@ class Training:
         if config.pretrained:
             self.net.backbone.load_imagenet()
         self.net.to(memory_format=torch.channels_last)
-        self.average = {k: v.detach().clone() for k, v in self.net.state_dict().items()}
+        self.average = Average(self.net, config.ema)
         backbone = [p for p in self.net.backbone.parameters() if p.requires_grad]
         known = {id(p) for p in self.net.backbone.parameters()}
         heads = [p for p in self.net.parameters() if id(p) not in known]
@@ -86,16 +80,11 @@ class Training:
             own.data = shared.data
         return twin
 
-    def learning_rate(self) -> float:
-        """Linear warm-up, then half a cosine over the steps."""
-        warm = min((self.step + 1) / self.config.warmup, 1.0)
-        half = 0.5 * (1 + math.cos(math.pi * self.step / self.config.steps))
-        return self.config.learning_rate * warm * (0.01 + 0.99 * half)
-
     def advance(self, samples: list[Sample]) -> dict[str, float]:
         """One step of the optimiser; the parts of the loss."""
+        rate = learning_rate(self.config.learning_rate, self.step, self.config.steps, self.config.warmup)
         for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate() * group["factor"]
+            group["lr"] = rate * group["factor"]
         if self.step == 0:
             self.net.standardize(_input(samples))
         texts, count = self._texts(), self.config.parts
@@ -120,10 +109,7 @@ class Training:
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
         if torch.isfinite(norm):
             self.optimizer.step()
-        keep = min(self.config.ema, (1 + self.step) / (20 + self.step))
-        with torch.no_grad():
-            for k, v in self.net.state_dict().items():
-                self.average[k].lerp_(v, 1 - keep)
+        self.average.update(self.net, self.step)
         self.step += 1
         return parts | {"norm": float(norm)}
 
@@ -136,46 +122,25 @@ class Training:
     def averaged(self) -> EncoderNet:
         """The averaged network, for evaluation and export."""
         net = EncoderNet(len(self.labels))
-        net.load_state_dict(self.average)
+        net.load_state_dict(self.average.weights)
         return net.eval()
 
-    def save(self, path: Path) -> None:
-        """Writes everything that `resume` needs, all or nothing. Raises FuseError when the disk refuses."""
-        state = {
-            "kind": "encoder checkpoint",
+    def state(self) -> dict[str, Any]:
+        """Everything `restore` needs."""
+        return {
             "labels": list(self.labels),
             "config": asdict(self.config),
             "net": self.net.state_dict(),
-            "average": self.average,
+            "average": self.average.weights,
             "optimizer": self.optimizer.state_dict(),
-            "step": self.step,
-            "seconds": self.seconds,
         }
-        content = BytesIO()
-        torch.save(state, content)
-        tensors.write(path, content.getvalue())
 
-    def resume(self, path: Path) -> None:
-        """Takes up where `save` stopped. Raises InputError for another kind of file, or another run's."""
-        try:
-            state = torch.load(path, weights_only=True)
-            there, labels = state["config"], tuple(state["labels"])
-            if state["kind"] != "encoder checkpoint":
-                raise KeyError("kind")
-        except Exception as error:
-            raise InputError(f"{path} is not a checkpoint of the encoder: {error}") from None
-        if labels != self.labels:
-            raise InputError(f"{path} was trained for other labels: {', '.join(labels)}")
-        for key, value in asdict(self.config).items():
-            if there.get(key) != value:
-                raise InputError(
-                    f"{path} was trained with {key} = {there.get(key)}, here it is {value}: "
-                    "repeat that run's options or take another folder"
-                )
+    def restore(self, state: dict[str, Any], path: Path) -> None:
+        """Takes up a state read from `path`; InputError when it is another run's."""
+        same_run(state, self.labels, asdict(self.config), path)
         self.net.load_state_dict(state["net"])
-        self.average = state["average"]
+        self.average.weights = state["average"]
         self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.seconds = state["step"], state["seconds"]
 
 
 def _input(samples: list[Sample]) -> Tensor:
@@ -203,54 +168,12 @@ def losses(views: Views, samples: list[Sample], texts: Tensor, net: EncoderNet) 
     return {"image": image, "patch": patch, "layout": layout}
 
 
-def train(
-    pictures: Mixture,
-    labels: tuple[str, ...],
-    phrases: np.ndarray,
-    out: Path,
-    config: TrainConfig,
-    report: Callable[[str], None],
-    *,
-    stop_at: int | None = None,
-) -> Training:
-    """Trains `config.steps` steps (or until `stop_at`), resuming `out/checkpoint.pt` if it is there.
-
-    Leaves `checkpoint.pt` and `log.jsonl` in `out`.
-    """
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    run = Training(labels, phrases, config)
-    checkpoint = out / "checkpoint.pt"
-    if checkpoint.exists():
-        run.resume(checkpoint)
-        report(f"resumed at step {run.step}, {run.seconds / 60:.1f} min")
-    end = config.steps if stop_at is None else min(stop_at, config.steps)
+def batches(pictures: Mixture, labels: int, config: TrainConfig) -> Callable[[int], list[Sample]]:
+    """What makes the batch of a step: it depends on the seed, the step and the pictures."""
 
     def make(step: int) -> list[Sample]:
         rng = np.random.default_rng([config.seed, step])
         chosen = [pictures[int(rng.integers(len(pictures)))] for _ in range(config.batch)]
-        return [make_sample(p, table, len(labels), config.size, rng) for p, table in chosen]
+        return [make_sample(p, table, labels, config.size, rng) for p, table in chosen]
 
-    sums: dict[str, float] = {}
-    with ThreadPoolExecutor(1) as ahead:
-        waiting = ahead.submit(make, run.step)
-        while run.step < end:
-            began = time.monotonic()
-            samples = waiting.result()
-            waiting = ahead.submit(make, run.step + 1)
-            for k, v in run.advance(samples).items():
-                sums[k] = sums.get(k, 0.0) + v
-            run.seconds += time.monotonic() - began
-            if run.step % LOG_EVERY == 0:
-                line = {k: round(v / LOG_EVERY, 4) for k, v in sums.items()}
-                left = run.seconds / run.step * (config.steps - run.step)
-                line |= {"step": run.step, "minutes": round(run.seconds / 60, 2)}
-                with (out / "log.jsonl").open("a") as log:
-                    log.write(json.dumps(line) + "\n")
-                told = " ".join(f"{k} {v}" for k, v in line.items())
-                report(f"{told} of {config.steps}, {left / 60:.0f} min left")
-                sums = {}
-            if run.step % SAVE_EVERY == 0:
-                run.save(checkpoint)
-    run.save(checkpoint)
-    return run
+    return make

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -16,6 +16,7 @@ import cv2
 import torch
 from torch import Tensor, nn
 
+from fuse_grounding import tensors
 from fuse_grounding.errors import InputError
 
 LOG_EVERY = 25
@@ -102,13 +103,10 @@ class Run(Protocol):
 
 
 def save(run: Run, path: Path) -> None:
-    """Writes the run's state, all or nothing."""
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        torch.save(run.state() | {"step": run.step, "seconds": run.seconds}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    """Writes the run's state, all or nothing. Raises FuseError when the disk refuses."""
+    content = BytesIO()
+    torch.save(run.state() | {"step": run.step, "seconds": run.seconds}, content)
+    tensors.write(path, content.getvalue())
 
 
 def load(path: Path, expected: set[str]) -> dict[str, Any]:
@@ -123,6 +121,18 @@ def load(path: Path, expected: set[str]) -> dict[str, Any]:
             f"{path} is not a checkpoint of this training: it lacks {', '.join(sorted(missing))}"
         )
     return state
+
+
+def same_run(state: dict[str, Any], labels: tuple[str, ...], config: dict[str, Any], path: Path) -> None:
+    """Raises InputError unless `state` is that of a run with these labels and this configuration."""
+    if list(state["labels"]) != list(labels):
+        raise InputError(f"{path} was trained for other labels: {', '.join(state['labels'])}")
+    ours, theirs = json.loads(json.dumps(config)), json.loads(json.dumps(state["config"]))
+    for key, value in ours.items():
+        if theirs.get(key) != value:
+            raise InputError(
+                f"{path} was trained with {key} {theirs.get(key)}, not {value}: use another --out"
+            )
 
 
 def train(

@@ -14,8 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fuse_grounding.errors import InputError
-from fuse_grounding.training.loop import Average, learning_rate
+from fuse_grounding.training.loop import Average, learning_rate, same_run
 from fuse_grounding.training.segmenter_data import Sample, Shards, make_sample
 from fuse_grounding.training.segmenter_loss import losses
 from fuse_grounding.training.segmenter_model import SegmenterNet
@@ -171,18 +170,6 @@ def batches(shards: Shards, config: TrainConfig) -> Callable[[int], list[Sample]
         return batch
 
     return make
-
-
-def same_run(state: dict[str, Any], labels: tuple[str, ...], config: dict[str, Any], path: Path) -> None:
-    """Raises InputError unless `state` is that of a run with these labels and this configuration."""
-    if list(state["labels"]) != list(labels):
-        raise InputError(f"{path} was trained for other labels: {', '.join(state['labels'])}")
-    ours, theirs = json.loads(json.dumps(config)), json.loads(json.dumps(state["config"]))
-    for key, value in ours.items():
-        if theirs.get(key) != value:
-            raise InputError(
-                f"{path} was trained with {key} {theirs.get(key)}, not {value}: use another --out"
-            )
 
 
 def exported_weights(path: Path) -> dict[str, Tensor]:
