@@ -156,7 +156,8 @@ def test_an_entry_point_is_a_name(here: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(here)
     assert open_segmenter(SegmenterConfig(name="red")).part.labels is None
     with pytest.raises(
-        InputError, match=r"unknown segmenter `rad`; did you mean `red`\? known: embedded, sam3.*red, or"
+        InputError,
+        match=r"unknown segmenter `rad`; did you mean `red`\? known: embedded, embedded_.*sam3.*red, or",
     ):
         open_segmenter(SegmenterConfig(name="rad"))
     checks = {c.name: c for c in doctor.examine()}

@@ -302,6 +302,36 @@ def test_embedded_patches_is_a_segmenter_of_the_configuration(files: Path):
     assert all(d.mask.shape == (480, 640) for d in found)
 
 
+def test_auto_is_the_embedded_encoder_where_there_are_weights_and_letters_elsewhere(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    from fuse_grounding.assembly import assemble
+    from fuse_grounding.config import Config
+    from fuse_grounding.perception import embedded_encoder
+
+    config = Config().with_(method="static", knowledge={"open_vocabulary": "nearest"})
+    monkeypatch.setattr(embedded_encoder, "DEFAULT_PATH", tmp_path / "encoder.onnx")
+    parts, taken = assemble(config)
+    assert taken.encoder.name == "lexical"
+    assert set(parts.provenance["sha256"]) == {"segmenter"}
+    assert [a for a in parts.announcements if "compared by letters (`lexical`)" in a]
+    quiet, _ = assemble(config.with_(knowledge={"open_vocabulary": "leave_out"}))
+    assert not [a for a in quiet.announcements if "lexical" in a]
+    parts, taken = assemble(config.with_(encoder={"weights": str(files)}))
+    assert taken.encoder.name == "embedded"
+    assert set(parts.provenance["sha256"]) == {"segmenter", "encoder"}
+    assert not [a for a in parts.announcements if "lexical" in a]
+    copied(files, tmp_path)
+    for suffix in (".onnx", ".json", ".safetensors"):
+        (tmp_path / f"copy{suffix}").rename(tmp_path / f"encoder{suffix}")
+    assert assemble(config)[1].encoder.name == "embedded"
+    (tmp_path / "encoder.safetensors").unlink()
+    with pytest.raises(InputError, match=r"encoder\.safetensors is missing; none ships yet"):
+        assemble(config)
+    with pytest.raises(InputError, match=r"encoder\.weights .* is not for `lexical`, which has none"):
+        assemble(config.with_(encoder={"name": "lexical", "weights": str(files)}))
+
+
 # -- training -----------------------------------------------------------------------------------------
 
 
@@ -347,7 +377,7 @@ def test_a_killed_training_resumes_to_the_same_bits(tmp_path: Path):
     from fuse_grounding.training import encoder as training
     from fuse_grounding.training import loop
 
-    config = training.TrainConfig(steps=12, batch=4, size=(128, 96), warmup=2, pretrained=False)
+    config = training.TrainConfig(steps=4, batch=2, size=(128, 96), warmup=2, pretrained=False)
     phrases = np.eye(3, 128, dtype=np.float32)[None].repeat(2, 0)
     pictures: Any = Blocks()
     lines: list[str] = []
@@ -359,10 +389,10 @@ def test_a_killed_training_resumes_to_the_same_bits(tmp_path: Path):
         return made
 
     whole = run(tmp_path / "whole")
-    run(tmp_path / "parts", 5)
+    run(tmp_path / "parts", 2)
     resumed = run(tmp_path / "parts")
-    assert resumed.step == whole.step == 12
-    assert "resumed at step 5" in "".join(lines)
+    assert resumed.step == whole.step == 4
+    assert "resumed at step 2" in "".join(lines)
     for (name, a), b in zip(whole.net.state_dict().items(), resumed.net.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
     assert all(torch.equal(whole.average.weights[k], v) for k, v in resumed.average.weights.items())
@@ -372,7 +402,7 @@ def test_a_killed_training_resumes_to_the_same_bits(tmp_path: Path):
     with pytest.raises(InputError, match=r"encoder\.pt was trained for other labels: red, green"):
         other.restore(state, checkpoint)
     slower = training.Training(("red", "green"), phrases, replace(config, steps=99))
-    with pytest.raises(InputError, match="was trained with steps 12, not 99"):
+    with pytest.raises(InputError, match="was trained with steps 4, not 99"):
         slower.restore(state, checkpoint)
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
     with pytest.raises(InputError, match=r"encoder\.pt is not a checkpoint"):

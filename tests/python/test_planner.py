@@ -271,11 +271,18 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
     pytest.importorskip("onnx")
     from fuse_grounding.training import planner as training
 
-    data = tables(40)
+    data = tables(32)
     made: dict[str, Path] = {}
     plain: Any = None
-    for kind, name in (("plain", "again"), ("plain", "first"), ("extended", "first")):
-        config = training.settings(kind, 0)
+    short, paper = replace(training.settings("plain", 0), epochs=2), training.settings("plain", 0)
+    for kind, name, config in (
+        ("plain", "again", short),
+        ("plain", "first", short),
+        ("extended", "first", replace(training.settings("extended", 0), epochs=2)),
+        ("plain", "paper", paper),
+    ):
+        if name == "paper":
+            assert made["plain"].read_bytes() == (tmp_path / "again" / "plain.onnx").read_bytes()
         trained = training.train(data, config, lambda line: None)
         (tmp_path / name).mkdir(exist_ok=True)
         made[kind] = tmp_path / name / f"{kind}.onnx"
@@ -284,12 +291,10 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
         extra = len(NAMES) if kind == "extended" else 0
         assert sizes == [(512, 1056 + extra), (512, 512), (1, 512)]
         assert trained.net.actions.weight.shape == (15, 32)
-        assert len(trained.training) == 20
-        assert trained.held_out[-1] < 0.6 * trained.constant
         assert made[kind].stat().st_size < 2e6
-        plain = trained.net if kind == "plain" else plain
-    assert made["plain"].read_bytes() == (tmp_path / "again" / "plain.onnx").read_bytes()
-    paper = training.settings("plain", 0)
+        plain = trained if kind == "plain" else plain
+    assert len(plain.training) == 20
+    assert plain.held_out[-1] < 0.6 * plain.constant
     assert (paper.learning_rate, paper.batch, paper.weight_decay, paper.dropout) == (1e-3, 64, 0.0, 0.0)
     network = Network(made["plain"])
     others = tables(40, seed=9)
@@ -299,7 +304,7 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
     assert scored["gained_on_random"]["low"] > 0
     with torch.no_grad():
         rows = [torch.from_numpy(x.astype(np.float32)) for x in (data.feature[:1], data.texts[:1])]
-        expected = training.Exported(plain)(*rows).numpy()
+        expected = training.Exported(plain.net)(*rows).numpy()
     values = network.values(data.feature[0], data.texts[0], None)
     np.testing.assert_allclose(values, expected, atol=5e-3)  # weights are halved
 
@@ -357,23 +362,23 @@ def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: py
     digests = json.loads(encoder.with_suffix(".json").read_text())["sha256"]
     note = {"split": "dev", "encoder": digests}
     source = tmp_path / "t.safetensors"
-    source.write_bytes(tables(30).encode(note))
+    source.write_bytes(tables(8).encode(note))
     line = f"train planner --transitions {source} --out {tmp_path / 'p'}"
     assert execute([*line.split(), "--kind", "plain"]) == 0
     assert "always the mean" in capsys.readouterr().out
     judged = [*line.split(), "--kind", "plain", "--evaluate", "--weights", str(tmp_path / "p"), "--json"]
     assert execute(judged) == 2
     assert "was trained on" in capsys.readouterr().err
-    source.write_bytes(tables(30, seed=1).encode(note))
+    source.write_bytes(tables(8, seed=1).encode(note))
     assert execute(judged) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == json.loads((tmp_path / "p" / "evaluation.json").read_text())
-    assert told["planners"]["plain"]["states"] == 30
+    assert told["planners"]["plain"]["states"] == 8
     assert (tmp_path / "p" / "gate_calibration.png").stat().st_size > 5000
-    source.write_bytes(tables(30).encode({**note, "encoder": {"network": "x", "text": "y"}}))
+    source.write_bytes(tables(8).encode({**note, "encoder": {"network": "x", "text": "y"}}))
     assert execute(judged) == 2
     assert "are of different encoders" in capsys.readouterr().err
-    source.write_bytes(tables(30).encode({}))
+    source.write_bytes(tables(8).encode({}))
     assert execute(judged) == 2
     assert "does not say of which split it is" in capsys.readouterr().err
 

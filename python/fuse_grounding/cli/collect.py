@@ -28,6 +28,9 @@ def command(
     states: Annotated[
         int, typer.Option(min=1, help="With --exhaustive: states of each trajectory, from its start on.")
     ] = 3,
+    actions: Annotated[
+        int | None, typer.Option(min=1, help="Actions of each walk; default: 5 to 13, at random.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; the result is the same.")] = 1,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where --out stopped.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of viewpoints and actions.")] = 0,
@@ -45,6 +48,8 @@ def command(
 
     if split not in collect.SPLITS:
         raise InputError(f"--split must be {' or '.join(collect.SPLITS)}, found {split}")
+    if exhaustive and actions is not None:
+        raise InputError(f"--actions {actions} is for plain walks: with --exhaustive, --states counts")
     if trajectories is None:
         trajectories = SETS[split].count if split == "train" else len(load_episodes(split))
     request = collect.Request(
@@ -52,6 +57,7 @@ def command(
         trajectories=trajectories,
         seed=seed,
         states=states if exhaustive else 0,
+        actions=actions,
         encoder=None if encoder is None else str(encoder),
         config=configure(config, overrides or []).to_dict(),
     )

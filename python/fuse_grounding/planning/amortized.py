@@ -126,11 +126,13 @@ def planner_files(config: Config) -> Files | None:
     """Those of the configured planner; None where no planner is loaded.
 
     The encoder is the embedded one, with `encoder.weights` unless these are another encoder's. Raises
-    InputError where its files are missing.
+    InputError where a file is missing.
     """
     path = config.planner.weights or shipped(config.planner.name)
     if config.planner.name == "none" or not (config.planner.weights or path.exists()):
         return None
+    if not path.is_file():
+        raise InputError(f"planner weights {path} (planner.weights) do not exist")
     weights = config.encoder.weights if config.encoder.name in ("auto", "embedded") else None
     return Files(path, embedded_encoder.files(weights))
 

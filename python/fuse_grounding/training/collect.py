@@ -39,12 +39,13 @@ SPLITS = ("train", "dev")
 @dataclass(frozen=True)
 class Request:
     """What is collected. `states`: how many states of a trajectory have every action measured; 0: a plain
-    walk."""
+    walk, of as many `actions`, or of 5 to 13."""
 
     split: str
     trajectories: int
     seed: int
     states: int
+    actions: int | None
     encoder: str | None
     config: dict[str, Any]
 
@@ -90,7 +91,7 @@ class _Worker:
         if self.request.states:
             walk = self.prober.survey(number, episode, self.request.states, rng)
         else:
-            walk = self.prober.walk(number, episode, rng)
+            walk = self.prober.walk(number, episode, rng, self.request.actions)
         note = {"episode_id": episode.episode_id, "scene": episode.scene_id}
         return tables(walk, self.texts, labels()).encode(note)
 

@@ -95,9 +95,13 @@ class Prober:
         query = self.parts.understand(episode.query)
         return self.parts.knowledge.hypotheses(query, self.parts.segmenter.labels, None).candidates
 
-    def walk(self, number: int, episode: Episode, rng: np.random.Generator) -> Walk:
-        """A random walk from a random viewpoint: 5 to 13 actions, each uniform over the feasible ones."""
-        actions = int(rng.choice(LENGTHS, p=_CHANCE))
+    def walk(
+        self, number: int, episode: Episode, rng: np.random.Generator, actions: int | None = None
+    ) -> Walk:
+        """A random walk from a random viewpoint: `actions` (None: 5 to 13), each uniform over the feasible
+        ones."""
+        drawn = int(rng.choice(LENGTHS, p=_CHANCE))
+        actions = drawn if actions is None else actions
         at = (int(rng.integers(NODES)), int(rng.integers(PITCHES)))
         scene = _Scene(self, episode, at)
         states = [scene.visit(scene.spatial, at, 0)]
