@@ -62,8 +62,7 @@ impl Solid {
         let samples = samples(groups.iter().flatten().map(|t| t.0));
         let cavity = cavity::find(&parts, &samples, bounds[0], bounds[1]);
         let convex = pieces(&groups, cavity).into_iter().filter_map(|points| polyhedron(&points));
-        let shapes: Vec<(Pose, SharedShape)> =
-            convex.map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
+        let shapes: Vec<(Pose, SharedShape)> = convex.map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
         if shapes.is_empty() {
             return None;
         }

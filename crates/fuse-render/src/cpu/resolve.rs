@@ -2,8 +2,8 @@
 //!
 //! Each triangle in a pixel is shaded once, at the mean of the samples it covers, and weighted with
 //! their number. But where all triangles of a pixel go on the one at its centre (same part, nearly the
-//! same plane), that one is shaded for all: they look the same, and pixels in which a fine mesh has many
-//! triangles would take most of the time.
+//! same plane), that one is shaded for all, at the centre: they look the same, and pixels in which a fine
+//! mesh has many triangles would take most of the time.
 
 use std::ops::Range;
 
@@ -87,13 +87,14 @@ impl Colors {
                 background = covered.count_ones() as u8;
                 continue;
             };
-            let [dx, dy] = MEANS[covered as usize];
-            let fragment = Fragment { setup, x, y, dx, dy };
-            if count == 0 && background == 0 && scene.go_on::<V>(&fragment, samples, left) {
-                self.add(scene, fragment, LANES as u8);
+            // The first sample is the centre.
+            if covered & 1 != 0 && scene.go_on::<V>((setup, x, y), samples, left) {
+                self.add(scene, Fragment { setup, x, y, dx: 0.0, dy: 0.0 }, LANES as u8);
                 self.pixels.push((1, 0));
                 return;
             }
+            let [dx, dy] = MEANS[covered as usize];
+            let fragment = Fragment { setup, x, y, dx, dy };
             self.add(scene, fragment, covered.count_ones() as u8);
             count += 1;
         }
@@ -195,29 +196,29 @@ impl Colors {
 }
 
 impl Triangles<'_> {
-    /// Whether the triangles at all samples of `left` go on the one at the fragment.
+    /// Whether the triangles at all samples of `left` go on the one at the centre `(setup, x, y)` of a pixel.
     #[inline(always)]
-    fn go_on<V: F32x8>(&self, fragment: &Fragment, samples: &[u32; LANES], mut left: u8) -> bool {
+    fn go_on<V: F32x8>(&self, center: (u32, u16, u16), samples: &[u32; LANES], mut left: u8) -> bool {
         while left != 0 {
             let key = samples[left.trailing_zeros() as usize];
             left &= !V::Int::load(samples).equal(V::Int::splat(key as i32)).mask_bits();
-            if key == 0 || !self.alike(fragment, key - 1) {
+            if key == 0 || !self.alike(center, key - 1) {
                 return false;
             }
         }
         true
     }
 
-    /// Whether a triangle goes on the one at the fragment, so that both look the same there.
+    /// Whether a triangle goes on the one at the centre of a pixel, so that both look the same there.
     #[inline(always)]
-    fn alike(&self, fragment: &Fragment, other: u32) -> bool {
-        let (a, b) = (self.binned.setup(fragment.setup), self.binned.setup(other));
+    fn alike(&self, (setup, x, y): (u32, u16, u16), other: u32) -> bool {
+        let (a, b) = (self.binned.setup(setup), self.binned.setup(other));
         if a.part != b.part {
             return false;
         }
         let facets = &self.geometry.facets;
         let (fa, fb) = (facets[a.triangle as usize], facets[b.triangle as usize]);
-        let (u, v) = fragment.at();
+        let (u, v) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
         let (wa, wb) = (a.inverse_depth(u, v), b.inverse_depth(u, v));
         fa.dot(fb) >= ALIKE && (wa - wb).abs() <= f64::from(NEARBY) * wa
     }

@@ -8,7 +8,6 @@ use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
 use fuse_camera::simd::{F32x8, I32x8};
-use rayon::prelude::*;
 
 use super::lanes::{V3, clamp, less};
 use crate::Texture;
@@ -72,6 +71,7 @@ impl MipChain {
 
     /// Finest first.
     pub fn levels(&self) -> &[Level] {
+        // By the one thread that came first: if it waited for others it might be given a tile that waits for it.
         self.levels.get_or_init(|| {
             let mut levels = vec![Level::new(&self.texture)];
             while let Some(next) = levels.last().and_then(Level::half) {
@@ -189,10 +189,10 @@ impl Level {
     }
 
     /// From its texels.
-    fn fill(width: u32, height: u32, texel: impl Fn(u32, u32) -> u32 + Sync) -> Self {
+    fn fill(width: u32, height: u32, texel: impl Fn(u32, u32) -> u32) -> Self {
         let across = width.div_ceil(SQUARE);
         let mut texels = vec![0; (across * height.div_ceil(SQUARE) * ROW * SQUARE) as usize];
-        texels.par_chunks_mut((across * ROW * SQUARE) as usize).enumerate().for_each(|(band, squares)| {
+        for (band, squares) in texels.chunks_mut((across * ROW * SQUARE) as usize).enumerate() {
             for (i, row) in squares.chunks_mut(ROW as usize).enumerate() {
                 let (square, y) = (i as u32 / SQUARE, band as u32 * SQUARE + i as u32 % SQUARE);
                 if y < height {
@@ -203,7 +203,7 @@ impl Level {
                     }
                 }
             }
-        });
+        }
         Self { width, height, across, texels }
     }
 

@@ -223,11 +223,7 @@ impl Setup {
     /// Edge functions and inverse depth at continuous image coordinates.
     #[inline(always)]
     pub fn at(&self, u: f64, v: f64) -> [f64; 4] {
-        let mut out = [0.0; 4];
-        for i in 0..4 {
-            out[i] = self.du[i] * u + self.dv[i] * v + self.value[i];
-        }
-        out
+        std::array::from_fn(|i| self.du[i] * u + self.dv[i] * v + self.value[i])
     }
 
     /// Columns and rows of the tiles that it may touch.

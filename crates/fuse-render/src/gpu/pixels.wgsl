@@ -29,7 +29,7 @@ fn alike(key: u32, other: u32, at: vec2f) -> bool {
 }
 
 /// Each triangle in a pixel is shaded once, at the mean of the samples it covers, and weighted with
-/// their number; or the one at the centre for all, where all others go on it.
+/// their number; or the one at the centre, there and for all, where all others go on it.
 @compute @workgroup_size(8, 8)
 fn pixels(@builtin(global_invocation_id) at: vec3u) {
     if at.x >= view.width || at.y >= view.height {
@@ -54,19 +54,21 @@ fn pixels(@builtin(global_invocation_id) at: vec3u) {
                 left &= ~(1u << s);
             }
         }
-        let mean = vec2f(at.xy) + 0.5 + offset / n;
+        let middle = vec2f(at.xy) + 0.5;
+        var place = middle + offset / n;
         if first == 0u && key != 0u {
             var all = true;
             for (var s = 1u; s < LANES && all; s++) {
                 all = samples[s] == key || (samples[s] != 0u && samples[s] == samples[s - 1u])
-                    || (samples[s] != 0u && alike(key, samples[s], mean));
+                    || (samples[s] != 0u && alike(key, samples[s], middle));
             }
             if all {
                 n = f32(LANES);
+                place = middle;
                 left = 0u;
             }
         }
-        sum += color_at(key, mean) * n;
+        sum += color_at(key, place) * n;
     }
     let c = sum / f32(LANES);
     image[at.y * view.width + at.x] = srgb(c.r) | (srgb(c.g) << 8u) | (srgb(c.b) << 16u);
