@@ -91,7 +91,7 @@ def files(path: Path | None) -> tuple[Path, ...]:
     """
     path = path or DEFAULT_PATH
     if not path.is_file():
-        raise InputError(f"the segmenter's weights {path} are no file")
+        raise InputError(f"cannot read the segmenter's weights {path}: there is no such file")
     settings = path.with_suffix(".json")
     second = (crops_path(path),) if "crops" in _read_settings(settings).sha256 else ()
     return (path, *second, settings)

@@ -131,8 +131,9 @@ def planner_files(config: Config) -> Files | None:
     path = config.planner.weights or shipped(config.planner.name)
     if config.planner.name == "none" or not (config.planner.weights or path.exists()):
         return None
-    if not path.is_file():
-        raise InputError(f"planner weights {path} (planner.weights) do not exist")
+    for file in (path, path.with_suffix(".json")):
+        if not file.is_file():
+            raise InputError(f"planner weights {file} (planner.weights) do not exist")
     weights = config.encoder.weights if config.encoder.name in ("auto", "embedded") else None
     return Files(path, embedded_encoder.files(weights))
 
