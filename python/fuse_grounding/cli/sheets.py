@@ -76,7 +76,8 @@ def _grid(pictures: list[np.ndarray], labels: list[str]) -> np.ndarray:
     tiles = []
     for picture, label in zip(pictures, labels, strict=True):
         larger = picture.shape[1] < _TILE[0]
-        tile = cv2.resize(picture, _TILE, interpolation=cv2.INTER_NEAREST if larger else cv2.INTER_AREA)
+        how = cv2.INTER_NEAREST if larger else cv2.INTER_AREA
+        tile: np.ndarray = cv2.resize(picture, _TILE, interpolation=how)
         tile[:26] //= 3  # a dark bar
         cv2.putText(tile, label, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
