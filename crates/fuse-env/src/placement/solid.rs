@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 
 use fuse_render::Model;
 use rapier3d::dynamics::MassProperties;
-use rapier3d::geometry::{ConvexPolyhedron, SharedShape, TriMesh, TriMeshFlags};
+use rapier3d::geometry::{ConvexPolyhedron, PointQuery, SharedShape, TriMesh, TriMeshFlags};
 use rapier3d::glamx::{DMat3, DVec3, Vec3};
 use rapier3d::math::Pose;
 
@@ -105,9 +105,14 @@ fn pieces(groups: &[Vec<Weighed>], cavity: Option<Cavity>) -> Vec<Vec<Vec3>> {
     pieces
 }
 
-/// The engine's polyhedron of a piece. It refuses faces that fold by rounding; then the exact hull will do, or the box.
+/// The engine's polyhedron of a piece, which holds its points. The engine refuses faces that fold by rounding, and of
+/// thin pieces it may lose a corner; then the exact hull will do, or the box.
 fn polyhedron(points: &[Vec3]) -> Option<ConvexPolyhedron> {
-    let engines = |hull: Hull| ConvexPolyhedron::from_convex_mesh(hull.points, &hull.faces);
+    let most = compound::TOLERANCE + compound::LOST;
+    let engines = |hull: Hull| {
+        ConvexPolyhedron::from_convex_mesh(hull.points, &hull.faces)
+            .filter(|shape| points.iter().all(|p| shape.distance_to_local_point(*p, true) <= most))
+    };
     Hull::simplified(points)
         .and_then(engines)
         .or_else(|| Hull::exact(points).and_then(engines))
