@@ -25,7 +25,7 @@ SENSORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ),
 )
 """What the sensor's picture shows: caption and settings of each tile; those of `depth` in grey."""
-_DETAIL = (slice(150, 375), slice(170, 470))
+_DETAIL = (slice(230, 455), slice(170, 470))
 """Rows and columns of the view in `dev_kitchen` that the sensor's picture shows."""
 _VERBS = ("serve", "pour", "stir", "fasten", "pound", "wipe")
 _TILE = (400, 300)
@@ -77,7 +77,7 @@ def _grid(pictures: list[np.ndarray], labels: list[str]) -> np.ndarray:
     for picture, label in zip(pictures, labels, strict=True):
         larger = picture.shape[1] < _TILE[0]
         tile = cv2.resize(picture, _TILE, interpolation=cv2.INTER_NEAREST if larger else cv2.INTER_AREA)
-        cv2.putText(tile, label, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
+        tile[:26] //= 3  # a dark bar
         cv2.putText(tile, label, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
     return np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])])
