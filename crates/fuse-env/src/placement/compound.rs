@@ -1,23 +1,15 @@
 //! Convex decomposition of a closed mesh: planes cut it into pieces whose convex hulls fill little
 //! more than they hold, so that a vessel stays hollow.
 //!
-//! Every piece's hull contains its part of the mesh up to [`TOLERANCE`] and [`LOST`], so that two
-//! models whose hulls do not touch do not touch either. Where a cut goes is decided by the volume of the hulls on
+//! Every piece's hull contains its part of the mesh up to [`TOLERANCE`], so that two models whose
+//! hulls do not touch do not touch either. Where a cut goes is decided by the volume of the hulls on
 //! both sides; what a piece itself holds is an integral over its triangles and the caps of its cuts.
-
-use std::collections::{BTreeMap, BTreeSet};
 
 use rapier3d::glamx::{DVec3, Quat, Vec3};
 use rapier3d::parry::transformation::try_convex_hull;
 
-use crate::objects::hull;
-
 /// How far a vertex may lie outside of the simplified hull of its piece, metres.
 pub const TOLERANCE: f32 = 3e-4;
-/// How far a point may lie outside of the hull that is found of it, metres.
-pub const LOST: f32 = 2e-5;
-/// Triangles that are lower than this have no direction to judge by, metres.
-const SLIVER: f64 = 2e-6;
 /// A piece whose hull holds so little more than itself, in metres over half its hull's surface, is left whole.
 const GOOD: f64 = 4e-4;
 /// What a cut into unequal parts costs: where none gains anything, a ring must still be halved.
@@ -51,41 +43,16 @@ pub struct Hull {
 }
 
 impl Hull {
-    /// The hull of `points`, which holds them up to [`LOST`]; `None` when they do not span a volume.
+    /// The hull of `points`; `None` when they do not span a volume.
     fn of(points: &[Vec3]) -> Option<Self> {
-        let quick = try_convex_hull(points).ok().map(|(points, faces)| Self { points, faces });
-        // It leaves corners out where many points lie nearly in a plane.
-        quick.filter(|h| h.faces.len() >= 4 && h.outside(points) <= LOST).or_else(|| Self::exact(points))
-    }
-
-    /// The same by exact predicates, which takes longer.
-    pub fn exact(points: &[Vec3]) -> Option<Self> {
-        let found = hull::Hull::new(points.iter().map(|p| glam::Vec3::from_array(p.to_array())))?;
-        let used: BTreeMap<usize, u32> =
-            found.faces.iter().flatten().collect::<BTreeSet<_>>().into_iter().copied().zip(0..).collect();
-        let points = used.keys().map(|&i| Vec3::from_array(found.points[i].as_vec3().to_array())).collect();
-        let faces = found.faces.iter().map(|f| f.map(|i| used[&i])).collect();
-        Some(Self { points, faces })
-    }
-
-    /// How far the farthest of some points lies outside, metres; 0 when none does.
-    pub fn outside(&self, points: &[Vec3]) -> f32 {
-        let beyond = |f: &[u32; 3]| {
-            let [a, b, c] = f.map(|i| self.points[i as usize].as_dvec3());
-            let (normal, longest) = ((b - a).cross(c - a), a.distance(b).max(b.distance(c)).max(c.distance(a)));
-            if normal.length() < SLIVER * longest {
-                return 0.0;
-            }
-            let (n, at) = (normal.normalize().as_vec3(), a.as_vec3());
-            points.iter().map(|p| n.dot(*p - at)).fold(0.0, f32::max)
-        };
-        self.faces.iter().map(beyond).fold(0.0, f32::max)
+        let (points, faces) = try_convex_hull(points).ok()?;
+        (faces.len() >= 4).then_some(Self { points, faces })
     }
 
     /// The hull of the points that are farthest in some directions, and then of those that stick out
     /// of it by more than [`TOLERANCE`].
-    pub fn simplified(points: &[Vec3]) -> Option<Self> {
-        let mut kept = extreme(points, &directions());
+    fn simplified(points: &[Vec3], directions: &[Vec3]) -> Option<Self> {
+        let mut kept = extreme(points, directions);
         for _ in 0..12 {
             let hull = Self::of(&kept)?;
             let before = kept.len();
@@ -304,8 +271,8 @@ pub struct Hollow {
     pub floor: Vec3,
 }
 
-/// The points of the pieces that a closed part is cut into, at most about `most` pieces.
-pub fn decompose(triangles: &[[Vec3; 3]], hollow: Option<Hollow>, most: usize) -> Vec<Vec<Vec3>> {
+/// Convex pieces of a closed part, at most about `most` of them.
+pub fn decompose(triangles: &[[Vec3; 3]], hollow: Option<Hollow>, most: usize) -> Vec<Hull> {
     let directions = directions();
     let mut pieces = vec![Piece::new(triangles.to_vec(), vec![], &directions)];
     let points = pieces[0].points();
@@ -331,7 +298,13 @@ pub fn decompose(triangles: &[[Vec3; 3]], hollow: Option<Hollow>, most: usize) -
             None => pieces[i].done = true,
         }
     }
-    pieces.iter().map(Piece::points).collect()
+    pieces
+        .iter()
+        .map(|p| {
+            let points = p.points();
+            Hull::simplified(&points, &directions).unwrap_or_else(|| Hull::around(&points))
+        })
+        .collect()
 }
 
 /// Cuts every piece that is not good as it is by a plane; with `first` 1, the floor is not cut again.

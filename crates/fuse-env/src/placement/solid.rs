@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 
 use fuse_render::Model;
 use rapier3d::dynamics::MassProperties;
-use rapier3d::geometry::{ConvexPolyhedron, PointQuery, SharedShape, TriMesh, TriMeshFlags};
+use rapier3d::geometry::{ConvexPolyhedron, SharedShape, TriMesh, TriMeshFlags};
 use rapier3d::glamx::{DMat3, DVec3, Vec3};
 use rapier3d::math::Pose;
 
@@ -61,8 +61,15 @@ impl Solid {
         let bounds = [points().reduce(Vec3::min)?, points().reduce(Vec3::max)?];
         let samples = samples(groups.iter().flatten().map(|t| t.0));
         let cavity = cavity::find(&parts, &samples, bounds[0], bounds[1]);
-        let convex = pieces(&groups, cavity).into_iter().filter_map(|points| polyhedron(&points));
-        let shapes: Vec<(Pose, SharedShape)> = convex.map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
+        let mut hulls: Vec<Hull> = vec![];
+        for (i, group) in groups.iter().enumerate() {
+            let triangles: Vec<[Vec3; 3]> = group.iter().map(|t| t.0).collect();
+            let hollow = cavity.and_then(|c| hollow(&triangles, &c));
+            let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
+            hulls.extend(compound::decompose(&triangles, hollow, most));
+        }
+        let shapes: Vec<(Pose, SharedShape)> =
+            hulls.into_iter().filter_map(polyhedron).map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
         if shapes.is_empty() {
             return None;
         }
@@ -93,30 +100,13 @@ impl Solid {
     }
 }
 
-/// The points of the convex pieces of all parts.
-fn pieces(groups: &[Vec<Weighed>], cavity: Option<Cavity>) -> Vec<Vec<Vec3>> {
-    let mut pieces = vec![];
-    for (i, group) in groups.iter().enumerate() {
-        let triangles: Vec<[Vec3; 3]> = group.iter().map(|t| t.0).collect();
-        let hollow = cavity.and_then(|c| hollow(&triangles, &c));
-        let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
-        pieces.extend(compound::decompose(&triangles, hollow, most));
-    }
-    pieces
-}
-
-/// The engine's polyhedron of a piece, which holds its points. The engine refuses faces that fold by rounding, and of
-/// thin pieces it may lose a corner; then the exact hull will do, or the box.
-fn polyhedron(points: &[Vec3]) -> Option<ConvexPolyhedron> {
-    let most = compound::TOLERANCE + compound::LOST;
-    let engines = |hull: Hull| {
-        ConvexPolyhedron::from_convex_mesh(hull.points, &hull.faces)
-            .filter(|shape| points.iter().all(|p| shape.distance_to_local_point(*p, true) <= most))
-    };
-    Hull::simplified(points)
-        .and_then(engines)
-        .or_else(|| Hull::exact(points).and_then(engines))
-        .or_else(|| engines(Hull::around(points)))
+/// The engine's polyhedron of a hull. It refuses faces that fold by rounding; then its own hull of the same points
+/// will do, or their box.
+fn polyhedron(hull: Hull) -> Option<ConvexPolyhedron> {
+    let boxed = Hull::around(&hull.points);
+    ConvexPolyhedron::from_convex_mesh(hull.points.clone(), &hull.faces)
+        .or_else(|| ConvexPolyhedron::from_convex_hull(&hull.points))
+        .or_else(|| ConvexPolyhedron::from_convex_mesh(boxed.points, &boxed.faces))
 }
 
 /// The cavity as one part sees it: only a part around its axis is hollow.
@@ -268,6 +258,3 @@ fn longest_first([a, b, c]: [Vec3; 3]) -> (Vec3, Vec3, Vec3) {
         (c, a, b)
     }
 }
-
-#[cfg(test)]
-mod tests;
