@@ -1,5 +1,6 @@
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -288,11 +289,11 @@ def test_training_learns_resumes_to_the_same_bits_and_exports(tmp_path: Path):
     # What runs is what was trained, up to half precision.
     import torch
 
-    from fuse_grounding.training.classifier_data import evaluation_crop
-
     rgb, ids, objects = toy(11, 1)[0]
-    seen = [evaluation_crop(rgb, ids == o["id"]) for o in objects]
-    image, geometry = np.stack([c[0] for c in seen]), np.stack([c[1] for c in seen])
+    masks = [ids == o["id"] for o in objects]
+    frames = [crops.frame_of(mask) for mask in masks]
+    image = np.stack([crops.crop(rgb, m, f) for m, f in zip(masks, frames, strict=True)])
+    geometry = np.stack([f.geometry for f in frames])
     session = onnxruntime.InferenceSession(crops_path(path).read_bytes(), providers=["CPUExecutionProvider"])
     ran = session.run(None, {"crops": image, "geometry": geometry})[0]
     with torch.no_grad():
@@ -300,15 +301,15 @@ def test_training_learns_resumes_to_the_same_bits_and_exports(tmp_path: Path):
     assert np.abs(ran - meant).max() < 0.02
     # Weights of a network that knows fewer labels are a start.
     from fuse_grounding.training import segmenter as training
+    from fuse_grounding.training.loop import same_run
 
-    wider = training.Training(("a_box", "new", "a_ball"), run.config)
-    fresh = wider.warm_start(path)
-    assert all(name.startswith("verdict") for name in fresh)
+    wider = training.Training(("a_box", "new", "a_ball"), replace(run.config, start="0f"), path)
+    assert all(name.startswith("verdict") for name in wider.fresh)
     assert wider.net.dense_class.weight[2].allclose(run.averaged().dense_class.weight[0], atol=1e-2)
     with pytest.raises(InputError, match="other labels"):
-        training.same_run(run.state(), ("b",), {}, tmp_path)
+        same_run(run.state(), ("b",), {}, tmp_path)
     with pytest.raises(InputError, match=r"trained with steps 50, not 60"):
-        training.same_run(run.state(), LABELS, {"steps": 60}, tmp_path)
+        same_run(run.state(), LABELS, {"steps": 60}, tmp_path)
     (tmp_path / "run" / "network.pt").write_bytes(b"junk")
     with pytest.raises(InputError, match="not a checkpoint"):
         _networks(60, tmp_path / "run", pictures)

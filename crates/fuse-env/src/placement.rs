@@ -10,6 +10,7 @@ pub mod layout;
 mod piece;
 pub mod settle;
 pub mod solid;
+pub mod units;
 
 use std::f32::consts::TAU;
 

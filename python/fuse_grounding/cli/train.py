@@ -78,11 +78,11 @@ def segmenter(
 
     trained = have(data / "train", render, seed)
     held_out = have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
-    config = training.TrainConfig(steps=steps, workers=workers, seed=seed)
-    run = training.Training(labels, config)
+    start = None if warm is None else hashlib.sha256(warm.read_bytes()).hexdigest()
+    config = training.TrainConfig(steps=steps, workers=workers, seed=seed, start=start)
+    run = training.Training(labels, config, warm)
     if warm is not None:
-        fresh = run.warm_start(warm)
-        console.print(f"{warm}: {len(fresh)} tensors of the network start afresh: {', '.join(fresh)}")
+        console.print(f"{warm}: {len(run.fresh)} tensors of the network start afresh: {', '.join(run.fresh)}")
     loop.train(run, training.batches(trained, config), steps, out, "network", console.print)
     crop_config = classifier.ClassifierConfig(steps=crop_steps, workers=workers, seed=seed)
     second = classifier.ClassifierTraining(labels, crop_config)
@@ -95,7 +95,7 @@ def segmenter(
         "minutes": round(run.seconds / 60, 1),
         "crop_steps": second.step,
         "crop_minutes": round(second.seconds / 60, 1),
-        "from": None if warm is None else hashlib.sha256(warm.read_bytes()).hexdigest(),
+        "from": start,
     }
     export.write(
         target,

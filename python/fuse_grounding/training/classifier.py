@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,12 +11,12 @@ import torch.nn.functional as F
 
 from fuse_grounding.training.classifier_data import Crop, training_crops
 from fuse_grounding.training.classifier_model import CropNet
-from fuse_grounding.training.loop import Average, learning_rate, same_run
+from fuse_grounding.training.loop import NetworkRun, Recipe
 from fuse_grounding.training.segmenter_data import Shards
 
 
 @dataclass(frozen=True)
-class ClassifierConfig:
+class ClassifierConfig(Recipe):
     """What a run depends on besides its pictures."""
 
     steps: int = 4000
@@ -32,97 +28,30 @@ class ClassifierConfig:
     warmup: int = 150
     ema: float = 0.997
     smoothing: float = 0.05
-    workers: int = 2
-    seed: int = 0
-    pretrained: bool = True
 
 
-class ClassifierTraining:
-    """Network, averaged network and optimiser of one run."""
+class ClassifierTraining(NetworkRun[CropNet]):
+    """A run as `loop.train` drives it."""
 
     def __init__(self, labels: tuple[str, ...], config: ClassifierConfig) -> None:
-        torch.manual_seed(config.seed)
-        self.labels, self.config = labels, config
-        self.net = CropNet(len(labels))
-        if config.pretrained:
-            self.net.backbone.load_imagenet()
-        self.average = Average(self.net, config.ema)
-        own = {id(p) for p in self.net.backbone.parameters()}
-        groups = [
-            {"params": [p for p in self.net.parameters() if id(p) not in own], "factor": 1.0},
-            {
-                "params": [p for p in self.net.backbone.parameters() if p.requires_grad],
-                "factor": config.backbone_factor,
-            },
-        ]
-        self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
-        self.step, self.seconds = 0, 0.0
-        self.pool = ThreadPoolExecutor(config.workers)
-        self.replicas = [self._replica() for _ in range(config.workers)]
-
-    def _replica(self) -> CropNet:
-        twin = CropNet(len(self.labels))
-        for own, shared in zip(twin.parameters(), self.net.parameters(), strict=True):
-            own.data = shared.data
-        return twin.train()
+        self.config = config
+        super().__init__(lambda: CropNet(len(labels)), labels, config)
 
     def advance(self, batch: list[Crop]) -> dict[str, float]:
         """One step of the optimiser; loss and share of right answers."""
-        rate = learning_rate(self.config.learning_rate, self.step, self.config.steps, self.config.warmup)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate * group["factor"]
-        workers = len(self.replicas)
-        totals = {"loss": 0.0, "right": 0.0}
-        lock = threading.Lock()
 
-        def work(replica: CropNet, mine: list[Crop]) -> None:
-            torch.set_num_threads(1)
+        def work(replica: CropNet, mine: list[Crop]) -> dict[str, float]:
+            share = len(mine) / len(batch)
             image = torch.from_numpy(np.stack([c.image for c in mine]))
             geometry = torch.from_numpy(np.stack([c.geometry for c in mine]))
             truth = torch.tensor([c.category for c in mine])
             logits = replica(image, geometry)
             loss = F.cross_entropy(logits, truth, label_smoothing=self.config.smoothing)
-            (loss * (len(mine) / len(batch))).backward()
-            with lock:
-                totals["loss"] += float(loss.detach()) * len(mine) / len(batch)
-                totals["right"] += float((logits.argmax(1) == truth).float().mean()) * len(mine) / len(batch)
+            (loss * share).backward()
+            right = (logits.argmax(1) == truth).float().mean()
+            return {"loss": share * float(loss.detach()), "right": share * float(right)}
 
-        futures = [self.pool.submit(work, r, batch[i::workers]) for i, r in enumerate(self.replicas)]
-        for future in futures:
-            future.result()
-        for p, *others in zip(*(n.parameters() for n in (self.net, *self.replicas)), strict=True):
-            gradients = [q.grad for q in others if q.grad is not None]
-            p.grad = sum(gradients[1:], gradients[0]) if gradients else None
-            for q in others:
-                q.grad = None
-        torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
-        self.optimizer.step()
-        self.average.update(self.net, self.step)
-        self.step += 1
-        return totals
-
-    def averaged(self) -> CropNet:
-        """The averaged network, for evaluation and export."""
-        net = CropNet(len(self.labels))
-        net.load_state_dict(self.average.weights)
-        return net.eval()
-
-    def state(self) -> dict[str, Any]:
-        """Everything `restore` needs."""
-        return {
-            "labels": list(self.labels),
-            "config": asdict(self.config),
-            "net": self.net.state_dict(),
-            "average": self.average.weights,
-            "optimizer": self.optimizer.state_dict(),
-        }
-
-    def restore(self, state: dict[str, Any], path: Path) -> None:
-        """Takes up a state read from `path`; InputError when it is another run's."""
-        same_run(state, self.labels, asdict(self.config), path)
-        self.net.load_state_dict(state["net"])
-        self.average.weights = state["average"]
-        self.optimizer.load_state_dict(state["optimizer"])
+        return self.optimise(work, [batch[i :: self.config.workers] for i in range(self.config.workers)])
 
 
 def batches(shards: Shards, config: ClassifierConfig) -> Callable[[int], list[Crop]]:

@@ -51,12 +51,6 @@ def training_crops(picture: Picture, table: np.ndarray, rng: np.random.Generator
     return found
 
 
-def evaluation_crop(rgb: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Image and geometry of an object as they are seen when the network runs."""
-    frame = crops.frame_of(mask)
-    return crops.crop(rgb, mask, frame), frame.geometry
-
-
 def _wrong(mask: np.ndarray, ids: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A mask that is no object's: this one's shape somewhere else, or two objects at once."""
     others = [int(i) for i in np.unique(ids[::4, ::4]) if i > 0]

@@ -11,10 +11,7 @@ killed and resumed ends with the same bits, on any number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -23,7 +20,7 @@ from torch import Tensor
 
 from fuse_grounding.training.encoder_data import IGNORED, Mixture, Sample, make_sample
 from fuse_grounding.training.encoder_model import EncoderNet, Views
-from fuse_grounding.training.loop import Average, learning_rate, same_run
+from fuse_grounding.training.loop import NetworkRun, Recipe
 
 PHRASES = ("{}", "a {}", "a photo of a {}", "a {} on a table", "the {} over there")
 BACKGROUND = "background"
@@ -33,7 +30,7 @@ PLAIN_WEIGHT = 0.08
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Recipe):
     """What a training run depends on besides its pictures and texts."""
 
     steps: int = 2400
@@ -44,103 +41,38 @@ class TrainConfig:
     weight_decay: float = 0.02
     warmup: int = 60
     ema: float = 0.996
-    parts: int = 2
-    seed: int = 0
-    pretrained: bool = True
 
 
-class Training:
-    """Network, averaged network and optimiser of one run, as `loop.train` drives it.
+class Training(NetworkRun[EncoderNet]):
+    """A run as `loop.train` drives it.
 
     `phrases` (P, labels + 1, inner): every label, then background, in each way of saying it, of unit length.
     """
 
     def __init__(self, labels: tuple[str, ...], phrases: np.ndarray, config: TrainConfig) -> None:
-        torch.manual_seed(config.seed)
-        self.labels, self.config = labels, config
+        self.config = config
+        super().__init__(lambda: EncoderNet(len(labels)), labels, config)
         self.phrases = torch.from_numpy(phrases)
-        self.net = EncoderNet(len(labels))
-        if config.pretrained:
-            self.net.backbone.load_imagenet()
-        self.net.to(memory_format=torch.channels_last)
-        self.average = Average(self.net, config.ema)
-        backbone = [p for p in self.net.backbone.parameters() if p.requires_grad]
-        known = {id(p) for p in self.net.backbone.parameters()}
-        heads = [p for p in self.net.parameters() if id(p) not in known]
-        groups = [{"params": heads, "factor": 1.0}, {"params": backbone, "factor": config.backbone_factor}]
-        self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
-        self.step, self.seconds = 0, 0.0
-        self.pool = ThreadPoolExecutor(config.parts)
-        self.replicas = [self._replica() for _ in range(config.parts)]
-
-    def _replica(self) -> EncoderNet:
-        """A network with the same parameters in memory and gradients of its own."""
-        twin = EncoderNet(len(self.labels))
-        for own, shared in zip(twin.parameters(), self.net.parameters(), strict=True):
-            own.data = shared.data
-        return twin
 
     def advance(self, samples: list[Sample]) -> dict[str, float]:
         """One step of the optimiser; the parts of the loss."""
-        rate = learning_rate(self.config.learning_rate, self.step, self.config.steps, self.config.warmup)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate * group["factor"]
         if self.step == 0:
             self.net.standardize(_input(samples))
-        texts, count = self._texts(), self.config.parts
+        texts, count = self._texts(), self.config.workers
 
-        def work(replica: EncoderNet, part: list[Sample]) -> dict[str, float]:
-            # One thread of its own per operation: threads that wait for one another inside an operation lose
-            # most of a busy machine.
-            torch.set_num_threads(1)
-            found = losses(replica(_input(part)), part, texts, replica)
+        def work(replica: EncoderNet, mine: list[Sample]) -> dict[str, float]:
+            found = losses(replica(_input(mine)), mine, texts, replica)
             total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros(()))
             (total / count).backward()
             return {k: float(v.detach()) / count for k, v in found.items()}
 
-        halves = [samples[i::count] for i in range(count)]
-        found = list(self.pool.map(work, self.replicas, halves))
-        parts = {k: sum(one[k] for one in found) for k in WEIGHTS}
-        for p, *others in zip(*(n.parameters() for n in (self.net, *self.replicas)), strict=True):
-            gradients = [q.grad for q in others if q.grad is not None]
-            p.grad = sum(gradients[1:], gradients[0]) if gradients else None
-            for q in others:
-                q.grad = None
-        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
-        if torch.isfinite(norm):
-            self.optimizer.step()
-        self.average.update(self.net, self.step)
-        self.step += 1
-        return parts | {"norm": float(norm)}
+        return self.optimise(work, [samples[i::count] for i in range(count)])
 
     def _texts(self) -> Tensor:
         """(labels + 1, inner): each label said in one way, drawn anew for every step."""
         count = self.phrases.shape[1]
         ways = np.random.default_rng([self.config.seed, self.step, 1]).integers(len(self.phrases), size=count)
         return self.phrases[torch.from_numpy(ways), torch.arange(count)]
-
-    def averaged(self) -> EncoderNet:
-        """The averaged network, for evaluation and export."""
-        net = EncoderNet(len(self.labels))
-        net.load_state_dict(self.average.weights)
-        return net.eval()
-
-    def state(self) -> dict[str, Any]:
-        """Everything `restore` needs."""
-        return {
-            "labels": list(self.labels),
-            "config": asdict(self.config),
-            "net": self.net.state_dict(),
-            "average": self.average.weights,
-            "optimizer": self.optimizer.state_dict(),
-        }
-
-    def restore(self, state: dict[str, Any], path: Path) -> None:
-        """Takes up a state read from `path`; InputError when it is another run's."""
-        same_run(state, self.labels, asdict(self.config), path)
-        self.net.load_state_dict(state["net"])
-        self.average.weights = state["average"]
-        self.optimizer.load_state_dict(state["optimizer"])
 
 
 def _input(samples: list[Sample]) -> Tensor:

@@ -7,7 +7,9 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -22,6 +24,7 @@ from fuse_grounding.errors import InputError
 LOG_EVERY = 25
 SAVE_EVERY_SECONDS = 120
 Batch = TypeVar("Batch")
+Net = TypeVar("Net", bound=nn.Module)
 
 
 class Loader(threading.Thread, Generic[Batch]):
@@ -81,6 +84,120 @@ class Average:
         keep = min(self.keep, (1 + step) / (20 + step))
         for k, v in net.state_dict().items():
             self.weights[k].lerp_(v, 1 - keep)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What every network's training is configured by."""
+
+    steps: int
+    learning_rate: float
+    backbone_factor: float
+    """Share of the learning rate for what starts from ImageNet's weights."""
+    weight_decay: float = 0.02
+    warmup: int = 100
+    """Steps over which the learning rate rises."""
+    ema: float = 0.996
+    workers: int = 2
+    seed: int = 0
+    pretrained: bool = True
+
+
+class NetworkRun(Generic[Net]):
+    """Network, averaged network and optimiser of a run as `train` drives it, but for what a step computes.
+
+    `make()` gives a network with a `backbone` (`segmenter_model.Backbone`); its weights start from ImageNet's
+    where the recipe says `pretrained`. As many threads as the recipe has `workers` share a step.
+    """
+
+    LARGEST_GRADIENT = 5.0
+    """Norm to which gradients are cut."""
+
+    def __init__(self, make: Callable[[], Net], labels: tuple[str, ...], recipe: Recipe) -> None:
+        torch.manual_seed(recipe.seed)
+        self.labels, self.recipe, self._make = labels, recipe, make
+        self.net = make()
+        backbone: Any = self.net.backbone
+        if recipe.pretrained:
+            backbone.load_imagenet()
+        self.net.to(memory_format=torch.channels_last)
+        self.average = Average(self.net, recipe.ema)
+        known = {id(p) for p in backbone.parameters()}
+        heads = [p for p in self.net.parameters() if id(p) not in known]
+        tuned = [p for p in backbone.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.AdamW(
+            [{"params": heads, "factor": 1.0}, {"params": tuned, "factor": recipe.backbone_factor}],
+            lr=recipe.learning_rate,
+            weight_decay=recipe.weight_decay,
+        )
+        self.step, self.seconds = 0, 0.0
+        self._pool = ThreadPoolExecutor(recipe.workers)
+        self._replicas = [self._replica() for _ in range(recipe.workers)]
+
+    def _replica(self) -> Net:
+        """A network with the same parameters in memory and gradients of its own."""
+        twin = self._make()
+        for own, shared in zip(twin.parameters(), self.net.parameters(), strict=True):
+            own.data = shared.data
+        return twin
+
+    def optimise(
+        self, work: Callable[[Net, Any], dict[str, float]], shares: Sequence[Any]
+    ) -> dict[str, float]:
+        """One step. `work(replica, share)` leaves gradients and returns parts of the loss, for each of up to
+        `workers` shares; returns the parts' sums and `norm`, the gradient's. A step without finite gradients
+        changes no weight.
+        """
+        recipe = self.recipe
+        rate = learning_rate(recipe.learning_rate, self.step, recipe.steps, recipe.warmup)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * group["factor"]
+
+        def alone(replica: Net, share: Any) -> dict[str, float]:
+            # One thread of its own per operation: threads that wait for one another inside an operation lose
+            # most of a busy machine.
+            torch.set_num_threads(1)
+            return work(replica, share)
+
+        # Whose share is whose is fixed: sums in another order would be another run.
+        parts: dict[str, float] = {}
+        for found in self._pool.map(alone, self._replicas, shares):
+            for k, v in found.items():
+                parts[k] = parts.get(k, 0.0) + v
+        for p, *others in zip(*(n.parameters() for n in (self.net, *self._replicas)), strict=True):
+            gradients = [q.grad for q in others if q.grad is not None]
+            p.grad = sum(gradients[1:], gradients[0]) if gradients else None
+            for q in others:
+                q.grad = None
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.LARGEST_GRADIENT)
+        if torch.isfinite(norm):
+            self.optimizer.step()
+        self.average.update(self.net, self.step)
+        self.step += 1
+        return parts | {"norm": float(norm)}
+
+    def averaged(self) -> Net:
+        """The averaged network, for evaluation and export."""
+        net = self._make()
+        net.load_state_dict(self.average.weights)
+        return net.eval()
+
+    def state(self) -> dict[str, Any]:
+        """Everything `restore` needs."""
+        return {
+            "labels": list(self.labels),
+            "config": asdict(self.recipe),
+            "net": self.net.state_dict(),
+            "average": self.average.weights,
+            "optimizer": self.optimizer.state_dict(),
+        }
+
+    def restore(self, state: dict[str, Any], path: Path) -> None:
+        """Takes up a state read from `path`; InputError when it is another run's."""
+        same_run(state, self.labels, asdict(self.recipe), path)
+        self.net.load_state_dict(state["net"])
+        self.average.weights = state["average"]
+        self.optimizer.load_state_dict(state["optimizer"])
 
 
 class Run(Protocol):

@@ -8,6 +8,7 @@ use rapier3d::parry::shape::FeatureId;
 
 use super::settle::Top;
 use super::solid::Solid;
+use super::units::{PER_METRE, to_engine};
 
 /// Penetration from which a layout is thrown away, metres.
 pub const PENETRATION_M: f32 = 0.002;
@@ -120,6 +121,6 @@ fn encloses(part: &TriMesh, p: Vec3) -> bool {
 /// finds what has gone right through a thin wall, where no point is deep inside. The pieces hold
 /// their meshes, so this is never too little.
 pub fn crossing(a: (&Solid, Pose), b: (&Solid, Pose)) -> f32 {
-    let found = contact(&a.1, a.0.compound.as_ref(), &b.1, b.0.compound.as_ref(), 0.0);
-    found.ok().flatten().map_or(0.0, |c| (-c.dist).max(0.0))
+    let found = contact(&to_engine(&a.1), a.0.compound.as_ref(), &to_engine(&b.1), b.0.compound.as_ref(), 0.0);
+    found.ok().flatten().map_or(0.0, |c| (-c.dist / PER_METRE).max(0.0))
 }

@@ -83,6 +83,11 @@ impl Hull {
         Self { points, faces }
     }
 
+    /// Corners of every face.
+    pub fn triangles(&self) -> impl Iterator<Item = [Vec3; 3]> {
+        self.faces.iter().map(|f| f.map(|i| self.points[i as usize]))
+    }
+
     /// Volume in m³ and surface in m².
     pub fn measure(&self) -> (f64, f64) {
         let Some(origin) = self.points.first().map(|p| p.as_dvec3()) else { return (0.0, 0.0) };

@@ -12,6 +12,7 @@ use rapier3d::parry::query::{ShapeCastOptions, cast_shapes};
 
 use super::settle::{Top, pose};
 use super::solid::Solid;
+use super::units::{PER_METRE, to_engine};
 use super::{Item, PlacementError, Rest, Surface, direction, place};
 use crate::configuration::ClutterStyle;
 use plan::plan;
@@ -232,14 +233,16 @@ fn lower(
     let start = Pose::from_parts(Vec3::new(at.x, at.y, top.height + ABOVE), turn);
     let lowest = thing.solid.samples.iter().map(|p| start.transform_point(*p).z).fold(f32::MAX, f32::min);
     let mut fall = lowest - top.height;
-    let options = ShapeCastOptions { max_time_of_impact: fall, target_distance: GAP, ..ShapeCastOptions::default() };
+    // At one metre a unit of time.
+    let options =
+        ShapeCastOptions { max_time_of_impact: fall, target_distance: GAP * PER_METRE, ..ShapeCastOptions::default() };
     for (other, pose) in things.iter().zip(poses) {
         let Some(pose) = pose else { continue };
         let hit = cast_shapes(
-            &start,
-            -Vec3::Z,
+            &to_engine(&start),
+            -Vec3::Z * PER_METRE,
             thing.solid.compound.as_ref(),
-            pose,
+            &to_engine(pose),
             Vec3::ZERO,
             other.solid.compound.as_ref(),
             options,

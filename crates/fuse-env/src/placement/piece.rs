@@ -2,7 +2,7 @@
 //!
 //! The engine takes the first four corners of a face as its contact points, wherever they lie: a mug
 //! whose foot has forty corners would stand on one side of it and rock. This shape is a convex
-//! polyhedron that offers four corners evenly around the face instead.
+//! polyhedron that offers four corners evenly around the face instead. All lengths are in the engine's units.
 
 use rapier3d::geometry::{ConvexPolyhedron, Ray, RayCast, RayIntersection, Shape, ShapeType, TypedShape};
 use rapier3d::glamx::Vec3;
@@ -12,8 +12,10 @@ use rapier3d::parry::mass_properties::MassProperties;
 use rapier3d::parry::query::{PointProjection, PointQuery};
 use rapier3d::parry::shape::{FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, SupportMap};
 
-/// Corners that are ahead of others by less count as level, metres.
-const AHEAD: f32 = 2e-4;
+use super::units::PER_METRE;
+
+/// Corners that are ahead of others by less count as level.
+const AHEAD: f32 = 2e-4 * PER_METRE;
 
 /// A convex polyhedron with four well spread contact points a face.
 #[derive(Clone)]

@@ -4,6 +4,7 @@
 //! function of the arguments alone.
 
 use glam::Vec2;
+use rapier3d::dynamics::MassProperties;
 use rapier3d::geometry::HalfSpace;
 use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::math::Pose;
@@ -12,9 +13,10 @@ use rapier3d::prelude::{
 };
 
 use super::solid::Solid;
+use super::units::{PER_METRE, to_engine, to_metres};
 
 /// Step of the simulation, seconds.
-const STEP_S: f32 = 1.0 / 200.0;
+const STEP_S: f32 = 1.0 / 400.0;
 /// Time after which things that still move make a layout fail, seconds.
 const LONGEST_S: f32 = 4.0;
 /// Time over which everything must be still, seconds.
@@ -24,11 +26,16 @@ const STILL_M: f32 = 3e-4;
 /// Time after which rocking is damped strongly, seconds: what is unstable has fallen by then.
 const CALM_S: f32 = 0.8;
 /// Times that things are let go anew until they stay where they are.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 8;
 /// Movement of any point after letting go anew that counts as none, metres.
 const STEADY_M: f32 = 1e-3;
+/// Time for which things must stay where they are in the end, seconds, and how far any point may move in it, metres.
+const STAY_S: f32 = 1.0;
+const STAY_M: f32 = 3e-3;
 /// Speed (m/s), angular speed (rad/s) and time (s) at which the engine takes a group to be at rest.
 const SLEEP: (f32, f32, f32) = (0.004, 0.1, 0.25);
+/// Size of things, metres: slop, speculative margin and speeds of rest are a fifth of what a metre would need.
+const THING_M: f32 = 0.2;
 /// Coulomb friction of everything against everything.
 const FRICTION: f32 = 0.7;
 
@@ -76,7 +83,13 @@ pub fn settle(top: &Top, things: &[(&Solid, Pose)]) -> Result<Vec<Pose>, Unsettl
         let next = let_go(top, &again)?;
         let steady = again.iter().zip(&next).all(|((s, was), is)| motion(was, is, s.size().length()) < STEADY_M);
         now = next;
-        if steady {
+        // What tips over slowly looks still at first, and what is about to stays only for one order of the solver.
+        let mut again: Vec<(&Solid, Pose)> = things.iter().zip(&now).map(|(t, p)| (t.0, *p)).collect();
+        let mut stays = || {
+            again.reverse();
+            drift(top, &again, STAY_S) < STAY_M
+        };
+        if steady && stays() && stays() {
             return Ok(now);
         }
     }
@@ -140,38 +153,48 @@ fn calm(world: &mut PhysicsWorld, handles: &[RigidBodyHandle]) {
 }
 
 fn poses(world: &PhysicsWorld, handles: &[RigidBodyHandle]) -> Vec<Pose> {
-    handles.iter().filter_map(|h| world.bodies.get(*h)).map(|b| *b.position()).collect()
+    handles.iter().filter_map(|h| world.bodies.get(*h)).map(|b| to_metres(b.position())).collect()
+}
+
+/// Mass properties in grams and the engine's units: the inertia of a pencil in kg m² is below what it takes for zero.
+fn in_engine(of: &MassProperties) -> MassProperties {
+    let mut mass = *of;
+    mass.local_com *= PER_METRE;
+    mass.inv_principal_inertia /= PER_METRE * PER_METRE;
+    mass.set_mass(mass.mass() * 1000.0, true);
+    mass
 }
 
 fn built(top: &Top, things: &[(&Solid, Pose)]) -> (PhysicsWorld, Vec<RigidBodyHandle>) {
     let mut world = PhysicsWorld::new();
-    world.gravity = Vec3::new(0.0, 0.0, -9.81);
+    world.gravity = Vec3::new(0.0, 0.0, -9.81 * PER_METRE);
     let p = &mut world.integration_parameters;
     p.dt = STEP_S;
-    // Things are centimetres in size: slop and speculative margin a fifth of what metres would need.
-    p.length_unit = 0.2;
+    p.length_unit = THING_M * PER_METRE;
     p.num_solver_iterations = 8;
+    // Without, what leans creeps.
+    p.friction_in_bias_pass = true;
     // Stiff and slow to correct: soft contacts let stacks sink into one another, lively ones rock.
     let stiff = SpringCoefficients::new(100.0, 20.0);
     (p.contact_softness, p.static_contact_softness) = (stiff, stiff);
     // Contacts kept over steps are those of metre-sized things; a spoon has tipped over by then.
     p.contact_recycling = false;
     p.contact_clustering = false;
-    let plane = ColliderBuilder::new(SharedShape::new(HalfSpace { normal: Vec3::Z })).translation(Vec3::Z * top.height);
+    let plane = ColliderBuilder::new(SharedShape::new(HalfSpace { normal: Vec3::Z }))
+        .translation(Vec3::Z * top.height * PER_METRE);
     world.insert_collider(plane.friction(FRICTION), None);
     let handles = things
         .iter()
         .map(|(solid, pose)| {
-            let body = RigidBodyBuilder::dynamic().pose(*pose).linear_damping(0.6).angular_damping(2.5).build();
-            let mut mass = solid.mass;
-            // In grams: the inertia of a pencil in kg m² is below what the engine takes for zero.
-            mass.set_mass(mass.mass() * 1000.0, true);
+            let body =
+                RigidBodyBuilder::dynamic().pose(to_engine(pose)).linear_damping(0.6).angular_damping(2.5).build();
+            let mass = in_engine(&solid.mass);
             let collider =
                 ColliderBuilder::new(solid.compound.clone()).friction(FRICTION).restitution(0.0).mass_properties(mass);
             let handle = world.insert(body, collider).0;
             if let Some(body) = world.bodies.get_mut(handle) {
                 let rest = body.activation_mut();
-                rest.normalized_linear_threshold = SLEEP.0 / 0.2;
+                rest.normalized_linear_threshold = SLEEP.0 / THING_M;
                 rest.angular_threshold = SLEEP.1;
                 rest.time_until_sleep = SLEEP.2;
             }

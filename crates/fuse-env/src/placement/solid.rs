@@ -14,6 +14,7 @@ use rapier3d::math::Pose;
 use super::cavity::{self, Cavity};
 use super::compound::{self, Hollow, Hull};
 use super::piece::Piece;
+use super::units::{PER_METRE, points_to_engine};
 use crate::objects::finish::density;
 
 /// Parts of a model that are treated one by one; smaller ones are taken together.
@@ -21,13 +22,13 @@ const PARTS: usize = 16;
 /// Convex pieces of an open vessel, of one of the two largest parts of anything else, and of a small part.
 const PIECES: [usize; 3] = [56, 10, 2];
 /// Density of what encloses no volume of its own, kg/m³.
-const OPEN_DENSITY: f32 = 500.0;
+const OPEN_DENSITY: f64 = 500.0;
 /// Distance of the points on the surface at which penetration is measured, metres, and of those at vertices.
 const SAMPLE: [f32; 2] = [0.003, 0.0006];
 
 /// A model that can be settled and checked; model axes, metres, kilograms.
 pub struct Solid {
-    /// Convex pieces, for the physics engine.
+    /// Convex pieces, for the physics engine and in its units.
     pub compound: SharedShape,
     /// The pieces' number.
     pub pieces: usize,
@@ -68,30 +69,24 @@ impl Solid {
             let most = PIECES[if hollow.is_some() { 0 } else { 1 + i / 2 }.min(2)];
             hulls.extend(compound::decompose(&triangles, hollow, most));
         }
+        let filled: Vec<Weighed> = hulls.iter().flat_map(Hull::triangles).map(|t| (t, OPEN_DENSITY)).collect();
         let shapes: Vec<(Pose, SharedShape)> =
-            hulls.into_iter().filter_map(polyhedron).map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
+            hulls.iter().filter_map(polyhedron).map(|p| (Pose::identity(), SharedShape::new(Piece(p)))).collect();
         if shapes.is_empty() {
             return None;
         }
         let pieces = shapes.len();
         let compound = SharedShape::compound(shapes);
         // What is open, as a user's model may be, weighs as much as its pieces would, half full.
-        let mass = mass(groups.iter().flatten()).unwrap_or_else(|| compound.mass_properties(OPEN_DENSITY));
+        let mass = mass(groups.iter().flatten()).or_else(|| mass(filled.iter()))?;
         Some(Self { pieces, compound, mass, parts, samples, bounds, cavity })
     }
 
-    /// How far a point is outside of the piece that it is least outside of: the largest distance from the planes of that
-    /// piece's faces, metres; negative inside.
-    pub fn outside_pieces(&self, p: Vec3) -> f32 {
+    /// Vertices of every piece, model axes, metres.
+    pub fn polyhedra(&self) -> impl Iterator<Item = Vec<Vec3>> {
         let pieces = self.compound.as_compound().map_or(&[][..], |c| c.shapes());
-        let outside = |piece: &Piece| {
-            let faces = piece.0.faces().iter().map(|f| {
-                let corner = piece.0.points()[piece.0.vertices_adj_to_face()[f.first_vertex_or_edge as usize] as usize];
-                f.normal.dot(p - corner)
-            });
-            faces.fold(f32::MIN, f32::max)
-        };
-        pieces.iter().filter_map(|(_, s)| s.as_shape::<Piece>()).map(outside).fold(f32::MAX, f32::min)
+        let vertices = |piece: &Piece| piece.0.points().iter().map(|p| *p / PER_METRE).collect();
+        pieces.iter().filter_map(|(_, s)| s.as_shape::<Piece>()).map(vertices)
     }
 
     /// Extent along the model's axes, metres.
@@ -100,13 +95,14 @@ impl Solid {
     }
 }
 
-/// The engine's polyhedron of a hull. It refuses faces that fold by rounding; then its own hull of the same points
-/// will do, or their box.
-fn polyhedron(hull: Hull) -> Option<ConvexPolyhedron> {
+/// The engine's polyhedron of a hull, in its units. It refuses faces that fold by rounding; then its own hull of the
+/// same points will do, or their box.
+fn polyhedron(hull: &Hull) -> Option<ConvexPolyhedron> {
+    let points = points_to_engine(&hull.points);
     let boxed = Hull::around(&hull.points);
-    ConvexPolyhedron::from_convex_mesh(hull.points.clone(), &hull.faces)
-        .or_else(|| ConvexPolyhedron::from_convex_hull(&hull.points))
-        .or_else(|| ConvexPolyhedron::from_convex_mesh(boxed.points, &boxed.faces))
+    ConvexPolyhedron::from_convex_mesh(points.clone(), &hull.faces)
+        .or_else(|| ConvexPolyhedron::from_convex_hull(&points))
+        .or_else(|| ConvexPolyhedron::from_convex_mesh(points_to_engine(&boxed.points), &boxed.faces))
 }
 
 /// The cavity as one part sees it: only a part around its axis is hollow.
