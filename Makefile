@@ -28,7 +28,7 @@ $(VENV)/.installed: $(BIN)/python $(NATIVE)
 # One whole episode, from the query to the grounded object.
 demo: install
 	rm -rf $(DEMO_OUT)
-	$(BIN)/fuse run "measure the length of a board" --method explicit --seed 5 --out $(DEMO_OUT)
+	$(BIN)/fuse run "cut a piece of rope" --method explicit --seed 6 --out $(DEMO_OUT)
 
 lint: install
 	cargo fmt --all --check
