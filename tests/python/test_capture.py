@@ -178,14 +178,14 @@ def test_a_scale_without_depth_takes_depth_from_a_map(folder: Path):
     truth = load_capture(folder, scale="poses")
     assert truth.depths is not None
     shutil.rmtree(folder / "depth")
-    env = ReplayEnvironment(load_capture(folder, scale="poses"), "003.jpg", map_iterations=150)
+    env = ReplayEnvironment(load_capture(folder, scale="poses"), "003.jpg", map_iterations=400)
     assert any("rendered from a Gaussian map of all 7" in note for note in env.notes)
     depth = env.observe().depth
     assert depth is not None
     near = truth.depths[3] < 1.2
     known = near & (depth > 0)
     assert known.sum() > 0.9 * near.sum()
-    assert np.median(np.abs(depth[known] / truth.depths[3][known] - 1)) < 0.25  # a short training
+    assert np.median(np.abs(depth[known] / truth.depths[3][known] - 1)) < 0.3  # a short training
 
 
 def test_a_phones_photos_become_an_episode(
