@@ -111,10 +111,6 @@ def main() -> None:
     views, rounds = len(drawn.views), options.rounds
     print(f"{drawn.triangles:,} triangles, {FULL[0]}x{FULL[1]}, {views} views, mean of {rounds} rounds\n")
     print(table.render(rows))
-    if not all("depth_ids" in row.get("fps", {}) for row in rows if row["name"].startswith("FUSE")):
-        print(
-            "\nFUSE has depth and ids without colour in Rust only: this build's `World` has no `depth_ids`."
-        )
     print(f"\nPictures: {out / 'sheet.png'}")
 
 

@@ -16,8 +16,6 @@ class Renderer:
     def __init__(self, scene: Scene, variant: str):
         stage = Stage(scene.folder / "stage", scene.folder / "scenes.json")
         self._world = World((scene.folder / "episode.json").read_text(), stage)
-        if hasattr(self._world, "depth_ids"):
-            self.depth_ids = lambda view: self._world.depth_ids(_camera(view))
 
     def color(self, view: View) -> Any:
         """(H, W, 3) uint8."""
@@ -26,6 +24,10 @@ class Renderer:
     def all(self, view: View) -> Any:
         """Colour, depth (H, W) metres, ids (H, W)."""
         return self._world.render_camera(_camera(view))
+
+    def depth_ids(self, view: View) -> Any:
+        """Depth (H, W) metres, ids (H, W)."""
+        return self._world.depth_ids(_camera(view))
 
 
 def _camera(view: View) -> Camera:

@@ -105,9 +105,12 @@ def test_episodes_have_their_own_noise():
 def test_truths_stay_exact_and_are_the_judges_only(clean, noisy):
     assert np.array_equal(noisy.true_instances(7, 0), clean.true_instances(7, 0))
     assert np.array_equal(noisy.normals(7, 0), clean.normals(7, 0))
+    depth, ids = noisy.depth_ids(7, 0)
+    assert np.array_equal(depth, clean.render_at(7, 0).depth)
+    assert np.array_equal(ids, clean.true_instances(7, 0))
     blind = Blind(noisy)
     assert same_pictures(blind.observe(), noisy.observe())
-    for name in ("amodal_mask", "normals", "sensor"):
+    for name in ("amodal_mask", "depth_ids", "normals", "sensor"):
         assert not hasattr(blind, name)
 
 

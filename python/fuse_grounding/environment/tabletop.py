@@ -146,6 +146,11 @@ class TabletopEnvironment:
         assert seen.instance is not None
         return seen.instance
 
+    def depth_ids(self, node: int, pitch_index: int) -> tuple[np.ndarray, np.ndarray]:
+        """(480, 640) float32 exact depth in metres, (480, 640) uint32 ids at a viewpoint, without a picture."""
+        camera = self._world.camera(whole("node", node), whole("pitch_index", pitch_index))
+        return self._world.depth_ids(camera)
+
     def normals(self, node: int, pitch_index: int) -> np.ndarray:
         """(480, 640, 3) float32: unit normals at a viewpoint's pixel centres, zeros where nothing was hit.
 
