@@ -119,6 +119,14 @@ def test_a_seed_is_an_episode_with_its_statistics():
     assert (counted.unoccluded_px == known.unoccluded_px).all()
 
 
+def test_surfaces_at_one_depth_are_counted_as_they_are_drawn():
+    # In one view of this episode two things have a pixel at the same depth: what is seen there is the first drawn.
+    one = next(e for e in load_episodes("eval") if e.episode_id == "eval_0065")
+    known = TabletopEnvironment(one).true_targets()[0]
+    counted = TabletopEnvironment(Episode(one.text)).true_targets()[0]
+    assert (counted.visible_px == known.visible_px).all()
+
+
 def test_knobs_turn():
     hidden = make_episode(
         "pound", seed=3, difficulty={"start_fraction": [0.05, 0.2], "distractors": [7, 7], "least_moves": 1}

@@ -207,7 +207,10 @@ fn layout(
     let valid = validity.get(&request.verb).map_or(&[][..], Vec::as_slice);
     let asked: Vec<&EpisodeObject> = objects.iter().filter(|o| valid.contains(&o.category)).collect();
     let subjects = stage.subjects(scene, &asked)?;
-    let (whole, ring) = (stage.renderer(scene, &objects, false)?, Ring::of(scene));
+    // In the episode's order: of surfaces at the same depth the first drawn is seen.
+    let mut drawn = objects.clone();
+    drawn.sort_by_key(|o| o.instance_id);
+    let (whole, ring) = (stage.renderer(scene, &drawn, false)?, Ring::of(scene));
     if let Some(reason) = subjects.first().and_then(|target| screen(&whole, &ring, target, difficulty)) {
         return Ok(Err(reason));
     }

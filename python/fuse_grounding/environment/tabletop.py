@@ -147,7 +147,7 @@ class TabletopEnvironment:
         return seen.instance
 
     def depth_ids(self, node: int, pitch_index: int) -> tuple[np.ndarray, np.ndarray]:
-        """(480, 640) float32 exact depth in metres, (480, 640) uint32 ids at a viewpoint, without a picture."""
+        """(480, 640) float32 exact depth in metres and (480, 640) uint32 ids, without a picture."""
         camera = self._world.camera(whole("node", node), whole("pitch_index", pitch_index))
         return self._world.depth_ids(camera)
 
