@@ -120,7 +120,7 @@ def test_a_seed_is_an_episode_with_its_statistics():
 
 
 def test_surfaces_at_one_depth_are_counted_as_they_are_drawn():
-    # In one view of this episode two things have a pixel at the same depth: what is seen there is the first drawn.
+    # In one view of it two things have a pixel at the same depth: what is seen there is the first drawn.
     one = next(e for e in load_episodes("eval") if e.episode_id == "eval_0065")
     known = TabletopEnvironment(one).true_targets()[0]
     counted = TabletopEnvironment(Episode(one.text)).true_targets()[0]
