@@ -1,7 +1,7 @@
 //! Lengths as the physics engine is given them.
 //!
-//! The tolerances of its geometry are absolute, made for things of about a metre. In metres it leaves
-//! out contacts of the small faces that cutlery and cans have: a third more layouts never came to rest.
+//! The tolerances of its geometry are absolute, made for things of about a metre. In metres 29 of 72
+//! layouts did not come to rest, in tenths of a metre 14 of the same, in hundredths 21.
 
 use rapier3d::glamx::Vec3;
 use rapier3d::math::Pose;
