@@ -22,7 +22,7 @@ use crate::error::input;
 use crate::render::take;
 
 type Picture<'py> = (Bound<'py, PyArray3<u8>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
-type Depth<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
+type DepthIds<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
 /// An episode and its targets' statistics, as JSON, and how many layouts were thrown away before it, by reason.
 type Made = (String, String, BTreeMap<&'static str, u32>);
 /// Scene, verb, query, seed and id of an episode to be made.
@@ -230,7 +230,7 @@ impl World {
 
     /// (480, 640) float32 depth in metres and (480, 640) uint32 ids from any camera, without a picture: several times as
     /// fast. Exact, whatever the sensor.
-    fn depth_ids<'py>(&self, py: Python<'py>, camera: &Camera) -> PyResult<Depth<'py>> {
+    fn depth_ids<'py>(&self, py: Python<'py>, camera: &Camera) -> PyResult<DepthIds<'py>> {
         let (depth, ids) = enter(py, || self.inner.depth_ids(&camera.inner))?;
         let (w, h) = (depth.width(), depth.height());
         Ok((into_2d(py, depth.into_vec(), w, h)?, into_2d(py, ids.into_vec(), w, h)?))
