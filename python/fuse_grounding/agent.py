@@ -8,7 +8,7 @@ the stages are made of is decided in `assembly`; here is their order.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.knowledge.vocabulary import nothing_known
-from fuse_grounding.parts import Glance, Parts, Watcher
+from fuse_grounding.parts import Glance, Parts, Watcher, surer
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
 from fuse_grounding.record import StepEntry, Stopwatch
@@ -136,8 +136,7 @@ class Session:
         self.record = ledger.open_record(config, parts, self.query, self.hypotheses)
         if self.policy.planner == "none":
             self.announce("no amortised planner is loaded: every decision is explicit")
-        for watcher in watchers:
-            watcher.started(self)
+        self._tell(lambda watcher: watcher.started(self))
 
     def announce(self, sentence: str) -> None:
         """Puts into the record, once, what a reader must know."""
@@ -174,7 +173,7 @@ class Session:
 
     def _register_seeds(self) -> None:
         assert self.spatial is not None
-        with self.clock("register"):
+        with self.clock("initialize"):
             views = self.spatial.registrar.initialize(self._seeds)
             points, _ = self.spatial.registrar.points()
         for seed in self._seeds:
@@ -275,7 +274,7 @@ class Session:
         if index > 0 or self._config.return_.include_initial:
             improved = self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
-            self._runner_up = _surer(self._runner_up, self.glance)
+            self._runner_up = surer(self._runner_up, self.glance)
         step = StepEntry(
             index=index,
             node=seen.node,
@@ -347,8 +346,7 @@ class Session:
         step.map = None if self.spatial is None else self.spatial.map.entry()
         step.timings = self.clock.take()
         self.record.steps.append(step)
-        for watcher in self._watchers:
-            watcher.stepped(self, step)
+        self._tell(lambda watcher: watcher.stepped(self, step))
 
     def _finish(self, step: StepEntry, reason: str) -> Grounded:
         """The search is over: the best instance of the best view, and where it is."""
@@ -384,16 +382,16 @@ class Session:
             reason,
             self.policy.planner,
             1 if self.policy.start == "canonical" else 0,
+            self.clock.calls,
             time.perf_counter() - self._began,
         )
+        grounded = self.grounded
+        self._tell(lambda watcher: watcher.finished(self, grounded))
+        return grounded
+
+    def _tell(self, what: Callable[[Watcher], None]) -> None:
+        """Tells the watchers; what they do with it is no part of the run's time."""
+        began = time.perf_counter()
         for watcher in self._watchers:
-            watcher.finished(self, self.grounded)
-        return self.grounded
-
-
-def _surer(held: Glance | None, new: Glance) -> Glance | None:
-    """The view with the surer instance, whatever its size; None while nothing was seen."""
-    ours, theirs = (None if g is None else grounding.best_instance(g.scored) for g in (held, new))
-    if theirs is None or (ours is not None and ours.detection.score >= theirs.detection.score):
-        return held
-    return new
+            what(watcher)
+        self._began += time.perf_counter() - began
