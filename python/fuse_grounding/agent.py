@@ -319,6 +319,11 @@ class Session:
 
     # -- what is kept ----------------------------------------------------------------------------
 
+    @property
+    def leading(self) -> Glance | None:
+        """The view that would be returned if the search ended now; None before the first one."""
+        return self.best or self._runner_up or self.glance
+
     def _keep(self, step: StepEntry, maps: EvidenceMaps | None) -> None:
         """Attaches the evidence of a decision to the last view; under `explicit.every_step`, makes it."""
         assert self.glance is not None
@@ -352,13 +357,11 @@ class Session:
         """The search is over: the best instance of the best view, and where it is."""
         if step.branch is None:
             self._keep(step, None)
-        view = self.best or self._runner_up or self.glance
+        view = self.returned = self.leading
         assert view is not None
-        self.returned = view
         with self.clock("ground"):
-            fused, chosen = grounding.best_fused(view.scored), grounding.best_instance(view.scored)
-            if self._config.metric.select == "fused":
-                chosen = fused or chosen
+            fused = grounding.best_fused(view.scored)
+            chosen = grounding.choose(view.scored, self._config.metric)
             place = None
             if chosen is not None:
                 place = grounding.locate(chosen.detection.mask, view.observation.depth, view.viewpoint.camera)

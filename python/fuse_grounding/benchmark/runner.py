@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.agent import Agent
-from fuse_grounding.benchmark.metrics import evaluate
+from fuse_grounding.benchmark.trace import Trace
 from fuse_grounding.environment import Episode, TabletopEnvironment
 from fuse_grounding.errors import UnusableError
 from fuse_grounding.grounding import Grounded
@@ -45,17 +45,18 @@ def run_one(
         environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
         environment.true_targets()  # counts pixels where an episode brings no statistics
         began = time.perf_counter()
-        grounded = agent.run(environment, episode.query, episode_index=index, watchers=watchers)
-        metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
+        trace = Trace(settings)
+        watching = (trace, *watchers)
+        grounded = agent.run(environment, episode.query, episode_index=index, watchers=watching)
+        judged = trace.judge(grounded, environment, agent.segmenter)
         assert grounded.record.result is not None
-        grounded.record.result.metrics = metrics
-        metrics.setdefault("runtime_seconds", grounded.record.result.wall_seconds)
+        grounded.record.result.metrics = judged.metrics
     except (KeyboardInterrupt, UnusableError):
         raise
     except BaseException as error:  # a panic of native code is no Exception
         seconds = round(time.perf_counter() - began, 6)
         return {**row, **failure(error), "wall_seconds": seconds}
-    return {**row, "status": "ok", **metrics, **_outcome(grounded)}
+    return {**row, "status": "ok", **judged.metrics, **_outcome(grounded), "trace": judged.step_rows()}
 
 
 def head(method: str, episode: Episode, index: int) -> Row:
