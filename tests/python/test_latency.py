@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fuse_grounding.benchmark.latency import COMPONENTS, latency
+from fuse_grounding.benchmark.latency import COMPONENTS, HOSTED, latency
 from fuse_grounding.errors import InputError
 
 
@@ -69,8 +69,8 @@ def test_a_table_by_hand():
 
 
 def test_waiting_for_a_hosted_model_is_no_part_of_it():
-    timings = {**row()["timings"], "hosted": 30.0}
-    calls = {**row()["calls"], "hosted": 2}
+    timings = {**row()["timings"], HOSTED: 30.0}
+    calls = {**row()["calls"], HOSTED: 2}
     waited = latency([row(timings=timings, calls=calls, wall_seconds=40.5)])
     assert waited.to_dict() == latency([row()]).to_dict()
 
