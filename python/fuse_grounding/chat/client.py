@@ -1,0 +1,219 @@
+"""Asks a model, out of the cache where the question was asked before, and checks that the reply fits."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from fuse_grounding.chat.cache import Cache, Entry, default_folder, key_of
+from fuse_grounding.chat.endpoint import Endpoint, NoReply, Refused
+from fuse_grounding.chat.messages import Message, canonical, wire
+from fuse_grounding.config_chat import ChatConfig, LlmConfig, VlmConfig
+from fuse_grounding.errors import InputError
+
+T = TypeVar("T", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Answer(Generic[T]):
+    """A reply: its `text`, and `value` where it fits the schema; else None, and `fault` says why.
+
+    `key` names it in the cache; `constraint` is `json_schema` or `prompt`, what held it to the schema.
+    """
+
+    key: str
+    text: str
+    constraint: str
+    value: T | None
+    fault: str = ""
+
+
+class _Words(BaseModel):
+    content: str | None = None
+    refusal: str | None = None
+
+
+class _Choice(BaseModel):
+    message: _Words
+    finish_reason: str | None = None
+
+
+class _Completion(BaseModel):
+    """The part of a completion that is read."""
+
+    choices: list[_Choice]
+    model: str | None = None
+    usage: dict[str, Any] | None = None
+
+
+class Chat:
+    """Questions to one model at one endpoint; `asked` counts them, `sent` the HTTP requests that they took."""
+
+    def __init__(self, config: ChatConfig, section: str):
+        """`section` is where the settings stand. Raises InputError where no endpoint is named.
+
+        Nothing is sent before the first question.
+        """
+        for name, example in (("base_url", "http://127.0.0.1:8080/v1"), ("model", "qwen2.5-vl")):
+            if not getattr(config, name):
+                raise InputError(
+                    f"`{section}.{name}` is not set, such as {example}: no language model is configured "
+                    "(docs/language-models.md)"
+                )
+        self._config, self._section = config, section
+        self._cache = Cache(config.cache or default_folder())
+        self._endpoint: Endpoint | None = None
+        self._refuses_schema = config.constraint == "prompt"
+        self.asked = 0
+
+    @property
+    def sent(self) -> int:
+        """HTTP requests so far."""
+        return 0 if self._endpoint is None else self._endpoint.sent
+
+    def ask(self, messages: Sequence[Message], schema: type[T]) -> Answer[T]:
+        """The reply to `messages`, held to `schema`.
+
+        A reply that does not fit is an answer, too (`Answer.fault`), and kept. Raises NoReply where there is
+        none, and InputError where no question can be answered as things are, or, offline, was not before.
+        """
+        config = self._config
+        self.asked += 1
+        shape = schema.model_json_schema()
+        request = {
+            "base_url": config.base_url,
+            "model": config.model,
+            "temperature": config.temperature,
+            "options": config.model_dump(mode="json")["options"],
+            "constraint": config.constraint,
+            "schema": shape,
+            "messages": canonical(messages),
+        }
+        key = key_of(request)
+        entry = self._cache.read(key)
+        if entry is None and config.offline:
+            raise InputError(
+                f"`{self._section}.offline`: the reply {key} is not in {self._cache.folder}; ask online once, "
+                "or name the folder it was kept in by "
+                f"`{self._section}.cache`"
+            )
+        if entry is None or (entry.failure is not None and not config.offline):
+            entry = self._fetch(key, request, messages, schema.__name__.strip("_").lower(), shape)
+        if entry.text is None:
+            raise NoReply(entry.failure or "")
+        try:
+            value = schema.model_validate_json(_unfenced(entry.text), strict=True)
+        except ValidationError as error:
+            return Answer(key, entry.text, entry.constraint, None, _fault(error))
+        return Answer(key, entry.text, entry.constraint, value)
+
+    def _fetch(
+        self,
+        key: str,
+        request: dict[str, Any],
+        messages: Sequence[Message],
+        name: str,
+        shape: dict[str, Any],
+    ) -> Entry:
+        """Asks the endpoint, and keeps what came of it."""
+        try:
+            text, completion = self._post(messages, name, shape)
+        except NoReply as error:
+            entry = Entry(request=request, failure=str(error))
+            self._cache.write(key, entry)
+            return entry
+        entry = Entry(
+            request=request,
+            text=text,
+            constraint="prompt" if self._refuses_schema else "json_schema",
+            model=completion.model,
+            usage=completion.usage,
+        )
+        self._cache.write(key, entry)
+        return entry
+
+    def _post(self, messages: Sequence[Message], name: str, shape: dict[str, Any]) -> tuple[str, _Completion]:
+        """One question; where the server takes no schema, the schema goes into the prompt from now on."""
+        if self._endpoint is None:
+            self._endpoint = Endpoint(self._config, self._section)
+        if self._refuses_schema:
+            return self._read(self._endpoint.post(self._body(messages, name, shape)))
+        try:
+            raw = self._endpoint.post(self._body(messages, name, shape))
+        except Refused as refusal:
+            if self._config.constraint == "json_schema":
+                raise
+            self._refuses_schema = True
+            try:
+                raw = self._endpoint.post(self._body(messages, name, shape))
+            except Refused:
+                self._refuses_schema = False
+                raise refusal from None  # not because of the schema
+        return self._read(raw)
+
+    def _body(self, messages: Sequence[Message], name: str, shape: dict[str, Any]) -> bytes:
+        config = self._config
+        body: dict[str, Any] = {"model": config.model, "messages": wire(messages)}
+        if config.temperature != "default":
+            body["temperature"] = config.temperature
+        if self._refuses_schema:
+            body["messages"] = wire([*messages[:-1], _with_schema(messages[-1], shape)])
+        else:
+            body["response_format"] = {
+                "type": "json_schema",
+                "json_schema": {"name": name, "strict": True, "schema": shape},
+            }
+        body |= config.model_dump(mode="json")["options"]
+        return json.dumps(body).encode()
+
+    def _read(self, raw: bytes) -> tuple[str, _Completion]:
+        """The reply's text, which may be empty. Raises NoReply for a body that is no completion."""
+        try:
+            completion = _Completion.model_validate_json(raw)
+        except ValidationError as error:
+            raise NoReply(
+                f"{self._section} at {self._config.base_url}: the reply is not a chat completion ({_fault(error)})"
+            ) from None
+        if not completion.choices:
+            raise NoReply(f"{self._section} at {self._config.base_url}: the reply has no choices")
+        words = completion.choices[0].message
+        return words.content or words.refusal or "", completion
+
+
+def opened(config: LlmConfig | VlmConfig, section: str) -> Chat:
+    """A chat that is opened once in a process: connections and what the server takes are remembered."""
+    return _opened(type(config), config.model_dump_json(), section, os.getpid())
+
+
+@cache
+def _opened(kind: type[ChatConfig], settings: str, section: str, process: int) -> Chat:
+    return Chat(kind.model_validate_json(settings), section)
+
+
+def _with_schema(message: Message, shape: dict[str, Any]) -> Message:
+    words = (
+        f"Reply with one JSON object that fits this JSON Schema, and with nothing else: {json.dumps(shape)}"
+    )
+    return Message(message.role, (*message.parts, words))
+
+
+def _unfenced(text: str) -> str:
+    """The text without a Markdown fence around it, which models like to put there."""
+    inner = text.strip()
+    if inner.startswith("```") and inner.endswith("```") and "\n" in inner:
+        inner = inner.split("\n", 1)[1].removesuffix("```").strip()
+    return inner
+
+
+def _fault(error: ValidationError) -> str:
+    """What is wrong with a reply, short: it may be anything."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"])
+    message = first["msg"]
+    return (f"`{where}`: {message}" if where else message)[:200]
