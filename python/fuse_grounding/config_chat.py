@@ -66,8 +66,8 @@ class ChatConfig(Section):
     temperature: Annotated[float, Field(ge=0, le=2)] | Literal["default"] = 0.0
     """Supplement, "VLM Active"; `default`: not sent, for models that accept none."""
     constraint: Literal["auto", "json_schema", "prompt"] = "auto"
-    """How the reply is held to its schema: by the server (`response_format`), or by words in the prompt; `auto`:
-    by words where the server refuses the first, announced and recorded."""
+    """How the reply is held to its schema: by the server (`response_format`), or by words in the prompt;
+    `auto`: by words where the server refuses the first, announced and recorded."""
     options: Annotated[dict[str, Any], AfterValidator(_options)] = Field(default_factory=dict)
     """Further fields of the request, such as `seed` or `max_tokens`."""
     timeout_s: Positive = 60.0
@@ -99,8 +99,8 @@ class VlmConfig(ChatConfig):
     """The vision-language model of the method `vlm`."""
 
     labels: Literal["candidates", "oracle"] = "candidates"
-    """What it is told to look for: the candidates (supplement, "VLM Active"), or the target's label (main table's
-    footnote); the search is scored by the candidates either way."""
+    """What it is told to look for: the candidates (supplement, "VLM Active"), or the target's label (footnote
+    of the main table); masks are of the candidates either way."""
     history: Natural = 6
     """Latest decisions that it is told. Supplement, "VLM Active"."""
     near_m: Positive = 0.3

@@ -1,7 +1,8 @@
 """Replies on disk, one file each, named by the hash of everything that decides the answer.
 
-That is: the address and the name of the model, temperature and further options, how the reply is constrained,
-its schema, and the messages with the pixels of their pictures. Keys, time limits and the folder decide nothing.
+That is: the address and the name of the model, temperature and further options, how the reply is
+constrained, its schema, and the messages with the pixels of their pictures. Keys, time limits and the folder
+decide nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Entry(BaseModel):
     """`json_schema`, or `prompt`: how this reply was held to the schema."""
     model: str | None = None
     """Name of the model by the server's own account."""
-    usage: dict[str, Any] | None = None
+    usage: Any = None
     """Tokens by the server's own account."""
     failure: str | None = None
 

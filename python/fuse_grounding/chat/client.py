@@ -48,15 +48,16 @@ class _Completion(BaseModel):
     """The part of a completion that is read."""
 
     choices: list[_Choice]
-    model: str | None = None
-    usage: dict[str, Any] | None = None
+    model: Any = None
+    usage: Any = None
 
 
 class Chat:
-    """Questions to one model at one endpoint; `asked` counts them, `sent` the HTTP requests that they took."""
+    """Questions to one model at one endpoint; `sent` counts the HTTP requests that they took."""
 
     def __init__(self, config: ChatConfig, section: str):
-        """`section` is where the settings stand. Raises InputError where no endpoint is named.
+        """`section` is where the settings stand. Raises InputError where no endpoint is named, and where
+        the environment variable with its key is missing.
 
         Nothing is sent before the first question.
         """
@@ -68,9 +69,9 @@ class Chat:
                 )
         self._config, self._section = config, section
         self._cache = Cache(config.cache or default_folder())
-        self._endpoint: Endpoint | None = None
+        # Offline, neither urllib3 nor a key is wanted.
+        self._endpoint = None if config.offline else Endpoint(config, section)
         self._refuses_schema = config.constraint == "prompt"
-        self.asked = 0
 
     @property
     def sent(self) -> int:
@@ -84,7 +85,6 @@ class Chat:
         none, and InputError where no question can be answered as things are, or, offline, was not before.
         """
         config = self._config
-        self.asked += 1
         shape = schema.model_json_schema()
         request = {
             "base_url": config.base_url,
@@ -99,9 +99,8 @@ class Chat:
         entry = self._cache.read(key)
         if entry is None and config.offline:
             raise InputError(
-                f"`{self._section}.offline`: the reply {key} is not in {self._cache.folder}; ask online once, "
-                "or name the folder it was kept in by "
-                f"`{self._section}.cache`"
+                f"`{self._section}.offline`: the reply {key} is not in {self._cache.folder}; ask online "
+                f"once, or name the folder that has it by `{self._section}.cache`"
             )
         if entry is None or (entry.failure is not None and not config.offline):
             entry = self._fetch(key, request, messages, schema.__name__.strip("_").lower(), shape)
@@ -132,7 +131,7 @@ class Chat:
             request=request,
             text=text,
             constraint="prompt" if self._refuses_schema else "json_schema",
-            model=completion.model,
+            model=completion.model if isinstance(completion.model, str) else None,
             usage=completion.usage,
         )
         self._cache.write(key, entry)
@@ -140,18 +139,18 @@ class Chat:
 
     def _post(self, messages: Sequence[Message], name: str, shape: dict[str, Any]) -> tuple[str, _Completion]:
         """One question; where the server takes no schema, the schema goes into the prompt from now on."""
-        if self._endpoint is None:
-            self._endpoint = Endpoint(self._config, self._section)
+        endpoint = self._endpoint
+        assert endpoint is not None, "offline, nothing is fetched"
         if self._refuses_schema:
-            return self._read(self._endpoint.post(self._body(messages, name, shape)))
+            return self._read(endpoint.post(self._body(messages, name, shape)))
         try:
-            raw = self._endpoint.post(self._body(messages, name, shape))
+            raw = endpoint.post(self._body(messages, name, shape))
         except Refused as refusal:
             if self._config.constraint == "json_schema":
                 raise
             self._refuses_schema = True
             try:
-                raw = self._endpoint.post(self._body(messages, name, shape))
+                raw = endpoint.post(self._body(messages, name, shape))
             except Refused:
                 self._refuses_schema = False
                 raise refusal from None  # not because of the schema
@@ -174,14 +173,13 @@ class Chat:
 
     def _read(self, raw: bytes) -> tuple[str, _Completion]:
         """The reply's text, which may be empty. Raises NoReply for a body that is no completion."""
+        where = f"{self._section} at {self._config.base_url}"
         try:
             completion = _Completion.model_validate_json(raw)
         except ValidationError as error:
-            raise NoReply(
-                f"{self._section} at {self._config.base_url}: the reply is not a chat completion ({_fault(error)})"
-            ) from None
+            raise NoReply(f"{where}: the reply is not a chat completion ({_fault(error)})") from None
         if not completion.choices:
-            raise NoReply(f"{self._section} at {self._config.base_url}: the reply has no choices")
+            raise NoReply(f"{where}: the reply has no choices")
         words = completion.choices[0].message
         return words.content or words.refusal or "", completion
 

@@ -11,7 +11,6 @@ import os
 import random
 import time
 import urllib.request
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -26,7 +25,7 @@ _BLOCK, _ERROR_BYTES, _SHOWN = 1 << 16, 1 << 14, 300
 
 
 class NoReply(FuseError):
-    """A question stayed without a usable reply, though the endpoint is there: nothing the caller did wrong."""
+    """A question stayed without a usable reply, though the endpoint is there."""
 
 
 class Refused(InputError):
@@ -37,23 +36,24 @@ class Refused(InputError):
         self.status = status
 
 
-@dataclass(frozen=True)
 class _Again(Exception):
     """An attempt that may be repeated, after `wait_s` where the server said so."""
 
-    what: str
-    wait_s: float | None = None
+    def __init__(self, what: str, wait_s: float | None = None):
+        super().__init__(what)
+        self.what, self.wait_s = what, wait_s
 
 
 class Endpoint:
     """POSTs JSON to `base_url`/chat/completions. `sent` counts requests, repeated ones too."""
 
     def __init__(self, config: ChatConfig, section: str):
-        """`section` is where the settings stand, for messages. Raises InputError without urllib3."""
+        """`section` is where the settings stand, for messages. Raises InputError without urllib3 or key."""
         self._config, self._section = config, section
         self._urllib3: Any = require("urllib3", "llm", f"`{section}` (a language model)")
         self._url = f"{config.base_url}/chat/completions"
         self._pool = self._open_pool()
+        self._key()
         self._reached = False
         self.sent = 0
 
@@ -77,9 +77,8 @@ class Endpoint:
             wait = min(2 * wait, LONGEST_WAIT_S)
             if time.monotonic() + pause > deadline:
                 asked = "" if last.wait_s is None else f", and asks to wait {last.wait_s:.0f} s"
-                raise NoReply(
-                    f"{self._where}: {last.what}{asked}; `{self._section}.total_s` is {self._config.total_s:g}"
-                )
+                limit = f"`{self._section}.total_s` is {self._config.total_s:g}"
+                raise NoReply(f"{self._where}: {last.what}{asked}; {limit}")
             time.sleep(pause)
         raise AssertionError("the last attempt returns or raises")
 

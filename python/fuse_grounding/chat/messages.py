@@ -31,7 +31,7 @@ def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 
 def canonical(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """The same with digests of pixels instead of pictures: equal for equal pictures, however they are packed."""
+    """The same with digests of pixels for pictures: equal for equal pictures, however they are packed."""
     return [{"role": m.role, "content": _content(m.parts, _digest)} for m in messages]
 
 

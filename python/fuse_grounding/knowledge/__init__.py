@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fuse_grounding import chat
 from fuse_grounding.config import KnowledgeConfig
 from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.direct import Direct
 from fuse_grounding.knowledge.graph import Graph
+from fuse_grounding.knowledge.llm import Llm
 from fuse_grounding.knowledge.nearest import Nearest
 from fuse_grounding.knowledge.oracle import Oracle
 from fuse_grounding.knowledge.plain import Plain
@@ -25,6 +27,10 @@ SOURCES.add("graph", lambda config, nearest: Graph(shipped(), config.top_k))
 SOURCES.add("plain", lambda config, nearest: Plain(nearest.encoder, list(shipped().things), config.top_k))
 SOURCES.add("oracle", lambda config, nearest: Oracle(config.oracle))
 SOURCES.add("direct", lambda config, nearest: Direct(nearest))
+SOURCES.add(
+    "llm",
+    lambda config, nearest: Llm(chat.opened(config.llm, "knowledge.llm"), config.llm, config.top_k),
+)
 
 
 def compares(config: KnowledgeConfig) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 
@@ -41,7 +41,7 @@ class Hypotheses:
     """Candidates, best first, and what a reader must know about how they came about.
 
     `unknown` were proposed and left out, because the segmenter does not know them; `replaced` were
-    proposed in other words (`knowledge.vocabulary`).
+    proposed in other words (`knowledge.vocabulary`). `api_seconds` were spent on a language model.
     """
 
     source: str
@@ -49,6 +49,7 @@ class Hypotheses:
     announcements: tuple[str, ...] = ()
     unknown: tuple[Candidate, ...] = ()
     replaced: tuple[Replacement, ...] = ()
+    api_seconds: float = field(default=0.0, compare=False)
 
     @property
     def labels(self) -> tuple[str, ...]:

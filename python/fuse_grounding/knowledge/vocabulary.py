@@ -72,6 +72,7 @@ def replaced(open_: Hypotheses, vocabulary: Sequence[str], nearest: Nearest) -> 
         (*open_.announcements, *notes, *_left_out(open_.source, unknown)),
         tuple(unknown),
         tuple(replacements),
+        open_.api_seconds,
     )
 
 
