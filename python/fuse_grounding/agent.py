@@ -23,7 +23,7 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.knowledge.vocabulary import nothing_known
-from fuse_grounding.parts import Glance, Parts, Watcher
+from fuse_grounding.parts import Glance, Parts, Watcher, surer
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
 from fuse_grounding.record import StepEntry, Stopwatch
@@ -134,8 +134,9 @@ class Session:
         self.returned: Glance | None = None
         self.grounded: Grounded | None = None
         self.record = ledger.open_record(config, parts, self.query, self.hypotheses)
-        if self.policy.planner == "none":
-            self.announce("no amortised planner is loaded: every decision is explicit")
+        if self.hypotheses.api_seconds:
+            self.clock.seconds["api"] = self.hypotheses.api_seconds
+        self.record.announcements += ledger.opening(self.policy, world)
         for watcher in watchers:
             watcher.started(self)
 
@@ -218,7 +219,7 @@ class Session:
         if (reason := nothing_known(self.hypotheses) or self._stop_reason(step)) is not None:
             return self._finish(step, reason)
         decision = self.policy.decide(self._situation(view, feasible), self.clock)
-        ledger.note(step, decision)
+        ledger.note(self.record, step, decision)
         self._keep(step, decision.maps)
         if decision.action is None:
             return self._finish(step, decision.reason)
@@ -275,7 +276,7 @@ class Session:
         if index > 0 or self._config.return_.include_initial:
             improved = self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
-            self._runner_up = _surer(self._runner_up, self.glance)
+            self._runner_up = surer(self._runner_up, self.glance)
         step = StepEntry(
             index=index,
             node=seen.node,
@@ -292,7 +293,7 @@ class Session:
         return None if best is None else best.fused
 
     def _stop_reason(self, step: StepEntry) -> str | None:
-        if self._patience.exhausted:
+        if self._patience.exhausted and self._config.stopping.rule != "policy":
             return f"patience: {self._config.stopping.patience} observations brought nothing better"
         if step.index >= self._config.budget.actions:
             return f"budget: {self._config.budget.actions} actions"
@@ -309,6 +310,7 @@ class Session:
             scene=None if self.spatial is None else self.spatial.map,
             depth=view.observation.depth,
             pitch_index=view.observation.pitch_index,
+            node=view.observation.node,
         )
 
     def _move(self, decision: Decision, action: int) -> Move:
@@ -319,6 +321,13 @@ class Session:
         return Move(action, ring, pitch, decision)
 
     # -- what is kept ----------------------------------------------------------------------------
+
+    @property
+    def leading(self) -> Glance | None:
+        """The view that would be returned if the search ended now; None before the first one."""
+        if self._config.return_.view == "final":
+            return self.glance
+        return self.best or self._runner_up or self.glance
 
     def _keep(self, step: StepEntry, maps: EvidenceMaps | None) -> None:
         """Attaches the evidence of a decision to the last view; under `explicit.every_step`, makes it."""
@@ -354,9 +363,8 @@ class Session:
         """The search is over: the best instance of the best view, and where it is."""
         if step.branch is None:
             self._keep(step, None)
-        view = self.best or self._runner_up or self.glance
+        view = self.returned = self.leading
         assert view is not None
-        self.returned = view
         with self.clock("ground"):
             fused, chosen = grounding.best_fused(view.scored), grounding.best_instance(view.scored)
             if self._config.metric.select == "fused":
@@ -364,7 +372,7 @@ class Session:
             place = None
             if chosen is not None:
                 place = grounding.locate(chosen.detection.mask, view.observation.depth, view.viewpoint.camera)
-        if chosen is not None and self.best is None:
+        if chosen is not None and self.best is None and view is self._runner_up:
             self.announce("no region was large enough to be scored; the surest smaller one is returned")
         self._close(step)
         self.grounded = Grounded(
@@ -389,11 +397,3 @@ class Session:
         for watcher in self._watchers:
             watcher.finished(self, self.grounded)
         return self.grounded
-
-
-def _surer(held: Glance | None, new: Glance) -> Glance | None:
-    """The view with the surer instance, whatever its size; None while nothing was seen."""
-    ours, theirs = (None if g is None else grounding.best_instance(g.scored) for g in (held, new))
-    if theirs is None or (ours is not None and ours.detection.score >= theirs.detection.score):
-        return held
-    return new

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from fuse_grounding import chat
 from fuse_grounding.config import Config
 from fuse_grounding.errors import InputError
 from fuse_grounding.planning.amortized import Amortized, load_planner
@@ -13,6 +14,7 @@ from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
 from fuse_grounding.planning.protocol import Policy
 from fuse_grounding.planning.random_walk import RandomWalk
+from fuse_grounding.planning.vlm import Vlm
 from fuse_grounding.registry import Registry
 
 
@@ -21,8 +23,9 @@ class Method:
     """A named way of searching.
 
     `policy` makes one from the configuration and the episode's index; `maps` says whether it takes
-    seed views, registers and maps; `stopping` is `patience` (with the budget) or `one view`;
-    `knowledge` replaces the configured source where the method is defined by it.
+    seed views, registers and maps; `stopping` is `patience` (with the budget), `one view`, or `policy`:
+    it alone (with the budget) ends the search, and the last view is returned; `knowledge` replaces the
+    configured source where the method is defined by it.
     """
 
     name: str
@@ -83,6 +86,13 @@ _add(
     summary="uniform over the feasible actions",
 )
 _add(
+    "vlm",
+    lambda config, episode: Vlm(chat.opened(config.vlm, "vlm"), config.vlm, config.camera),
+    maps=False,
+    stopping="policy",
+    summary="a vision-language model sees colour and depth, moves, and stops (docs/language-models.md)",
+)
+_add(
     "semantic_only",
     lambda config, episode: Explicit("semantic_only", config),
     maps=False,
@@ -116,4 +126,7 @@ def resolve(config: Config) -> tuple[Method, Config]:
     method = METHODS.get(config.method)
     if method.knowledge is not None:
         config = config.with_(knowledge={"source": method.knowledge})
+    if method.stopping == "policy":
+        rule, view = config.stopping.rule or "policy", config.return_.view or "final"
+        config = config.with_(stopping={"rule": rule}, return_={"view": view})
     return method, config
