@@ -37,11 +37,11 @@ class Refused(InputError):
 
 
 class _Again(Exception):
-    """An attempt that may be repeated, after `wait_s` where the server said so."""
+    """An attempt that may be repeated, after `wait_s` where the server said so; `gone`: nobody was there."""
 
-    def __init__(self, what: str, wait_s: float | None = None):
+    def __init__(self, what: str, wait_s: float | None = None, gone: bool = False):
         super().__init__(what)
-        self.what, self.wait_s = what, wait_s
+        self.what, self.wait_s, self.gone = what, wait_s, gone
 
 
 class Endpoint:
@@ -71,14 +71,15 @@ class Endpoint:
                 return self._attempt(body, deadline)
             except _Again as failure:
                 last = failure
+            kind = InputError if last.gone else NoReply
             if attempt == attempts:
-                raise NoReply(f"{self._where}: {last.what}, at the last of {attempts} attempts")
+                raise kind(f"{self._where}: {last.what}, at the last of {attempts} attempts")
             pause = wait * random.uniform(0.5, 1.0) if last.wait_s is None else last.wait_s
             wait = min(2 * wait, LONGEST_WAIT_S)
             if time.monotonic() + pause > deadline:
                 asked = "" if last.wait_s is None else f", and asks to wait {last.wait_s:.0f} s"
                 limit = f"`{self._section}.total_s` is {self._config.total_s:g}"
-                raise NoReply(f"{self._where}: {last.what}{asked}; {limit}")
+                raise kind(f"{self._where}: {last.what}{asked}; {limit}")
             time.sleep(pause)
         raise AssertionError("the last attempt returns or raises")
 
@@ -104,7 +105,7 @@ class Endpoint:
             )
         except (errors.NewConnectionError, errors.SSLError, errors.ProxyError) as error:
             if self._reached:  # it was there a moment ago
-                raise _Again(f"the connection failed ({_cause(error)})") from None
+                raise _Again(f"nobody answers any more ({_cause(error)})", gone=True) from None
             raise InputError(
                 f"{self._where}: nobody answers ({_cause(error)}); is the server running, and is "
                 f"`{self._section}.base_url` right?"
