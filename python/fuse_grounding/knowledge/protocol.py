@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from fuse_grounding.errors import InputError
+
 
 @dataclass(frozen=True)
 class Query:
@@ -57,6 +59,10 @@ class Hypotheses:
         return tuple(c.label for c in self.candidates)
 
 
+class NothingProposed(InputError):
+    """A source knows the verb, and nothing that serves it."""
+
+
 class Confidant(Protocol):
     """A world that tells an oracle source, asked openly, which label the episode is about."""
 
@@ -83,7 +89,7 @@ class KnowledgeSource(Protocol):
         """At most the configured number of candidates out of `vocabulary` (None: anything goes).
 
         What it proposes beyond `vocabulary` is in `unknown`; there may be no candidate but those.
-        `world` is there for sources that ask it openly; others do not touch it. Raises InputError
-        when nothing is proposed at all.
+        `world` is there for sources that ask it openly; others do not touch it. Raises InputError,
+        NothingProposed where the verb is served by nothing.
         """
         ...

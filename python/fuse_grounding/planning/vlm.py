@@ -130,7 +130,7 @@ class Vlm:
 
     def _remember(self, situation: Situation, decision: dict[str, Any]) -> None:
         self._history.append({"step": situation.index, **self._place(situation), **decision})
-        del self._history[: len(self._history) - self._config.history]
+        del self._history[: max(0, len(self._history) - self._config.history)]
 
     def _place(self, situation: Situation) -> dict[str, Any]:
         pitch = situation.pitch_index
@@ -168,9 +168,9 @@ def feasible_actions(feasible: Sequence[bool] | np.ndarray) -> dict[str, list[st
 
 def depth_picture(depth: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
     """(H, W) uint8 of metres: 255 up to `near_m`, falling evenly to 32 from `far_m` on; 0 where unknown."""
-    share = np.clip((far_m - depth) / (far_m - near_m), 0.0, 1.0)
-    grey = np.rint(32 + 223 * share).astype(np.uint8)
-    return np.where(np.isfinite(depth) & (depth > 0), grey, 0).astype(np.uint8)
+    known = np.isfinite(depth) & (depth > 0)
+    share = np.clip((far_m - np.where(known, depth, far_m)) / (far_m - near_m), 0.0, 1.0)
+    return np.where(known, np.rint(32 + 223 * share), 0).astype(np.uint8)
 
 
 def _seen(reply: Reply) -> str:
