@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Generic, TypeVar
@@ -18,6 +19,7 @@ from fuse_grounding.config_chat import ChatConfig, LlmConfig, VlmConfig
 from fuse_grounding.errors import InputError
 
 T = TypeVar("T", bound=BaseModel)
+Waiting = Callable[[], AbstractContextManager[object]]
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,13 @@ class Answer(Generic[T]):
     constraint: str
     value: T | None
     fault: str = ""
+
+
+@dataclass(frozen=True)
+class _Question:
+    messages: Sequence[Message]
+    name: str
+    shape: dict[str, Any]
 
 
 class _Words(BaseModel):
@@ -78,8 +87,8 @@ class Chat:
         """HTTP requests so far."""
         return 0 if self._endpoint is None else self._endpoint.sent
 
-    def ask(self, messages: Sequence[Message], schema: type[T]) -> Answer[T]:
-        """The reply to `messages`, held to `schema`.
+    def ask(self, messages: Sequence[Message], schema: type[T], waiting: Waiting = nullcontext) -> Answer[T]:
+        """The reply to `messages`, held to `schema`; the endpoint is waited for within `waiting`.
 
         A reply that does not fit is an answer, too (`Answer.fault`), and kept. Raises NoReply where there is
         none, and InputError where no question can be answered as things are, or, offline, was not before.
@@ -103,7 +112,8 @@ class Chat:
                 f"once, or name the folder that has it by `{self._section}.cache`"
             )
         if entry is None or (entry.failure is not None and not config.offline):
-            entry = self._fetch(key, request, messages, schema.__name__.strip("_").lower(), shape)
+            question = _Question(messages, schema.__name__.strip("_").lower(), shape)
+            entry = self._fetch(key, request, question, waiting)
         if entry.text is None:
             raise NoReply(entry.failure or "")
         try:
@@ -112,17 +122,10 @@ class Chat:
             return Answer(key, entry.text, entry.constraint, None, _fault(error))
         return Answer(key, entry.text, entry.constraint, value)
 
-    def _fetch(
-        self,
-        key: str,
-        request: dict[str, Any],
-        messages: Sequence[Message],
-        name: str,
-        shape: dict[str, Any],
-    ) -> Entry:
+    def _fetch(self, key: str, request: dict[str, Any], question: _Question, waiting: Waiting) -> Entry:
         """Asks the endpoint, and keeps what came of it."""
         try:
-            text, completion = self._post(messages, name, shape)
+            text, completion = self._read(self._post(question, waiting))
         except NoReply as error:
             entry = Entry(request=request, failure=str(error))
             self._cache.write(key, entry)
@@ -137,39 +140,36 @@ class Chat:
         self._cache.write(key, entry)
         return entry
 
-    def _post(self, messages: Sequence[Message], name: str, shape: dict[str, Any]) -> tuple[str, _Completion]:
+    def _post(self, question: _Question, waiting: Waiting) -> bytes:
         """One question; where the server takes no schema, the schema goes into the prompt from now on."""
-        endpoint = self._endpoint
-        assert endpoint is not None, "offline, nothing is fetched"
-        if self._refuses_schema:
-            return self._read(endpoint.post(self._body(messages, name, shape)))
         try:
-            raw = endpoint.post(self._body(messages, name, shape))
+            return self._send(question, waiting)
         except Refused as refusal:
-            if self._config.constraint == "json_schema":
+            if self._refuses_schema or self._config.constraint == "json_schema":
                 raise
             self._refuses_schema = True
             try:
-                raw = endpoint.post(self._body(messages, name, shape))
+                return self._send(question, waiting)
             except Refused:
                 self._refuses_schema = False
                 raise refusal from None  # not because of the schema
-        return self._read(raw)
 
-    def _body(self, messages: Sequence[Message], name: str, shape: dict[str, Any]) -> bytes:
-        config = self._config
-        body: dict[str, Any] = {"model": config.model, "messages": wire(messages)}
+    def _send(self, question: _Question, waiting: Waiting) -> bytes:
+        assert self._endpoint is not None, "offline, nothing is fetched"
+        config, messages = self._config, question.messages
+        body: dict[str, Any] = {"model": config.model}
         if config.temperature != "default":
             body["temperature"] = config.temperature
         if self._refuses_schema:
-            body["messages"] = wire([*messages[:-1], _with_schema(messages[-1], shape)])
+            body["messages"] = wire([*messages[:-1], _with_schema(messages[-1], question.shape)])
         else:
-            body["response_format"] = {
-                "type": "json_schema",
-                "json_schema": {"name": name, "strict": True, "schema": shape},
-            }
+            body["messages"] = wire(messages)
+            held = {"name": question.name, "strict": True, "schema": question.shape}
+            body["response_format"] = {"type": "json_schema", "json_schema": held}
         body |= config.model_dump(mode="json")["options"]
-        return json.dumps(body).encode()
+        packed = json.dumps(body).encode()
+        with waiting():
+            return self._endpoint.post(packed)
 
     def _read(self, raw: bytes) -> tuple[str, _Completion]:
         """The reply's text, which may be empty. Raises NoReply for a body that is no completion."""

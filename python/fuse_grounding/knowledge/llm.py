@@ -7,7 +7,6 @@ the question, and what is proposed beyond it is kept as unknown, as for every so
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
@@ -19,6 +18,7 @@ from fuse_grounding.config_chat import LlmConfig
 from fuse_grounding.errors import FuseError
 from fuse_grounding.knowledge.protocol import Candidate, Confidant, Hypotheses, Query
 from fuse_grounding.knowledge.vocabulary import within
+from fuse_grounding.record import Stopwatch
 
 SYSTEM = """\
 You know what everyday objects can be used for. You are given a function, and name kinds of objects that a \
@@ -86,15 +86,14 @@ class Llm:
         Raises FuseError where the model gives no reply, or none that fits the schema, and InputError where
         the endpoint cannot be asked.
         """
-        began = time.perf_counter()
-        answer, proposals = self._ask(self._question(query, vocabulary))
-        seconds = time.perf_counter() - began
+        clock = Stopwatch()
+        answer, proposals = self._ask(self._question(query, vocabulary), clock)
         notes = [f"llm: candidates by the model `{self._config.model}`, reply {answer.key[:16]}"]
         if answer.constraint == "prompt" and self._config.constraint == "auto":
             notes.append("llm: the server takes no schema (response_format); it was put into the prompt")
         proposed = _candidates(proposals, vocabulary)
         found = within(self.name, proposed, vocabulary, top_k=self._top_k, announcements=notes)
-        return replace(found, api_seconds=seconds)
+        return replace(found, api_seconds=clock.seconds.get("api", 0.0))
 
     def _question(self, query: Query, vocabulary: Sequence[str] | None) -> str:
         verb = query.verb.replace("_", " ")
@@ -104,12 +103,12 @@ class Llm:
         lines.append(f"At most {self._top_k} candidates.")
         return "\n".join(lines)
 
-    def _ask(self, question: str) -> tuple[Answer[Proposals], list[Proposal]]:
+    def _ask(self, question: str, clock: Stopwatch) -> tuple[Answer[Proposals], list[Proposal]]:
         """An answer that fits, after as many corrections as are allowed, and what it proposes."""
         messages = [Message("system", (SYSTEM,)), Message("user", (question,))]
         corrections = 0
         while True:
-            answer = self._chat.ask(messages, Proposals)
+            answer = self._chat.ask(messages, Proposals, lambda: clock("api"))
             if answer.value is not None:
                 return answer, answer.value.candidates
             if corrections == self._config.corrections:

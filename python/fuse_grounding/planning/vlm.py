@@ -99,8 +99,7 @@ class Vlm:
         with clock("plan"):
             messages = self._messages(situation)
             try:
-                with clock("api"):
-                    answer = self._chat.ask(messages, Reply)
+                answer = self._chat.ask(messages, Reply, lambda: clock("api"))
             except NoReply as error:
                 self._failures += 1
                 if self._failures == self._config.failures:
