@@ -21,6 +21,7 @@ from chat_server import (
     hang_up,
     huge,
     no_schema,
+    packed,
     raw,
     slow,
     status,
@@ -28,13 +29,15 @@ from chat_server import (
     truncated,
     wants_key,
 )
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, TypeAdapter
 
 from fuse_grounding.chat import Chat, Message, NoReply
 from fuse_grounding.chat.cache import Cache, default_folder
 from fuse_grounding.config import Config
 from fuse_grounding.config_chat import ChatConfig
 from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.knowledge.llm import Proposals
+from fuse_grounding.planning.vlm import Reply
 
 KEY = "sk-secret-0123456789"
 PICTURE = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
@@ -190,6 +193,10 @@ def test_ten_megabytes_are_not_read(tmp_path: Path):
         assert len(server.got) == 1  # and not asked again
         time.sleep(0.1)
         assert server.written < HUGE
+    with ChatServer(packed(b"x" * HUGE)) as server, pytest.raises(NoReply, match="longer than 1000000 bytes"):
+        chat(server, tmp_path).ask(question(), Word)
+    with ChatServer(packed(completion('{"word": "mug"}'))) as server:  # in itself, packing is fine
+        assert chat(server, tmp_path).ask(question(), Word).value == Word(word="mug")
     with ChatServer(status(500, b"x" * HUGE)) as server, pytest.raises(NoReply, match="the server says 500"):
         chat(server, tmp_path, retries=0).ask(question(), Word)
 
@@ -260,8 +267,16 @@ def test_a_reply_that_does_not_fit_is_kept_with_what_is_wrong(tmp_path: Path, co
     assert first == second
 
 
-def test_a_fence_around_the_reply_is_taken_off(tmp_path: Path):
-    with ChatServer(good('```json\n{"word": "mug"}\n```')) as server:
+@pytest.mark.parametrize(
+    "text",
+    [
+        '```json\n{"word": "mug"}\n```',
+        '<think>\nA cup? {"word": "cup"}\n</think>\n\n{"word": "mug"}',
+        ' \n<think></think>```\n{"word": "mug"}```\n',
+    ],
+)
+def test_a_fence_around_the_reply_and_thoughts_before_it_are_taken_off(tmp_path: Path, text: str):
+    with ChatServer(good(text)) as server:
         assert chat(server, tmp_path).ask(question(), Word).value == Word(word="mug")
 
 
@@ -386,3 +401,19 @@ def test_proxies_of_the_environment_are_for_other_machines(monkeypatch: pytest.M
         with pytest.raises(InputError, match=r"418: .*proxied"):
             chat("http://models.invalid/v1", tmp_path).ask(question(), Word)
         assert proxy.got[0].path == "http://models.invalid/v1/chat/completions"
+
+
+def test_another_client_agrees_about_the_protocol(tmp_path: Path):
+    """OpenAI's own package reads what the server of these tests says; our request and schemas suit it."""
+    openai = pytest.importorskip("openai", reason="another client of the protocol is not installed")
+    params = pytest.importorskip("openai.types.chat.completion_create_params")
+    strict = pytest.importorskip("openai.lib._pydantic").to_strict_json_schema
+    with ChatServer(good({"word": "mug"})) as server:
+        chat(server, tmp_path).ask(question("Look:", PICTURE, DEPTH), Word)
+        theirs = openai.OpenAI(base_url=server.url, api_key="x").chat.completions.parse(
+            model="m", messages=[{"role": "user", "content": "Now."}], response_format=Word
+        )
+    assert theirs.choices[0].message.parsed == Word(word="mug")
+    TypeAdapter(params.CompletionCreateParamsNonStreaming).validate_python(server.got[0].body)
+    for schema in (Word, Reply, Proposals):
+        assert strict(schema) == schema.model_json_schema()

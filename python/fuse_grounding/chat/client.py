@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -202,8 +203,8 @@ def _with_schema(message: Message, shape: dict[str, Any]) -> Message:
 
 
 def _unfenced(text: str) -> str:
-    """The text without a Markdown fence around it, which models like to put there."""
-    inner = text.strip()
+    """The text without thoughts before it and a Markdown fence around it, which models like to put there."""
+    inner = re.sub(r"\A\s*<think>.*?</think>", "", text, flags=re.DOTALL).strip()
     if inner.startswith("```") and inner.endswith("```") and "\n" in inner:
         inner = inner.split("\n", 1)[1].removesuffix("```").strip()
     return inner
