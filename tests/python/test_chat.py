@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import socket
+import sys
 import time
 from email.utils import formatdate
 from pathlib import Path
@@ -417,3 +418,10 @@ def test_another_client_agrees_about_the_protocol(tmp_path: Path):
     TypeAdapter(params.CompletionCreateParamsNonStreaming).validate_python(server.got[0].body)
     for schema in (Word, Reply, Proposals):
         assert strict(schema) == schema.model_json_schema()
+
+
+def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "urllib3", None)
+    with pytest.raises(InputError, match=r"`vlm` \(a language model\) needs .*`urllib3`\n\nhint: .*\[llm\]"):
+        chat("http://127.0.0.1:9/v1", tmp_path)
+    assert chat("http://127.0.0.1:9/v1", tmp_path, offline=True).sent == 0  # the cache alone needs none
