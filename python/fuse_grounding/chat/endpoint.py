@@ -29,11 +29,7 @@ class NoReply(FuseError):
 
 
 class Refused(InputError):
-    """The server takes no such request (`status` 400 or 422)."""
-
-    def __init__(self, message: str, status: int):
-        super().__init__(message)
-        self.status = status
+    """The server takes no such request (400 or 422)."""
 
 
 class _Again(Exception):
@@ -153,7 +149,7 @@ class Endpoint:
             hint = "" if variable else f"; `{self._section}.key_env` names the variable that holds it"
             raise InputError(f"{self._where}: {which} ({status}{said}){hint}")
         if status in (400, 422):
-            raise Refused(f"{self._where}: the server does not take the request ({status}{said})", status)
+            raise Refused(f"{self._where}: the server does not take the request ({status}{said})")
         if 300 <= status < 400:
             location = _short(response.headers.get("Location", "nowhere"))
             raise InputError(f"{self._where}: the server redirects to {location}; name that address itself")
