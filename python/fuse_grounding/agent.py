@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,22 +20,14 @@ from fuse_grounding.config import Config
 from fuse_grounding.environment.blind import Blind
 from fuse_grounding.environment.protocol import Environment, Observation
 from fuse_grounding.errors import InputError
-from fuse_grounding.grounding import Grounded, Move, Viewpoint
+from fuse_grounding.grounding import Grounded, Move, SeedRequest, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.knowledge.vocabulary import nothing_known
 from fuse_grounding.parts import Glance, Parts, Watcher, surer
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
-from fuse_grounding.record import StepEntry, Stopwatch
+from fuse_grounding.record import HOSTED, StepEntry, Stopwatch
 from fuse_grounding.registration.protocol import RegisteredView
-
-
-@dataclass(frozen=True)
-class SeedRequest:
-    """A view wanted before the first step: `ring` nodes from the start, absolute `pitch_index`."""
-
-    ring: int
-    pitch_index: int
 
 
 class Agent:
@@ -134,8 +126,9 @@ class Session:
         self.returned: Glance | None = None
         self.grounded: Grounded | None = None
         self.record = ledger.open_record(config, parts, self.query, self.hypotheses)
-        if self.policy.planner == "none":
-            self.announce("no amortised planner is loaded: every decision is explicit")
+        if self.hypotheses.api_seconds:
+            self.clock.add(HOSTED, self.hypotheses.api_seconds)
+        self.record.announcements += ledger.opening(self.policy, world)
         self._tell(lambda watcher: watcher.started(self))
 
     def announce(self, sentence: str) -> None:
@@ -217,7 +210,7 @@ class Session:
         if (reason := nothing_known(self.hypotheses) or self._stop_reason(step)) is not None:
             return self._finish(step, reason)
         decision = self.policy.decide(self._situation(view, feasible), self.clock)
-        ledger.note(step, decision)
+        ledger.note(self.record, step, decision)
         self._keep(step, decision.maps)
         if decision.action is None:
             return self._finish(step, decision.reason)
@@ -291,7 +284,7 @@ class Session:
         return None if best is None else best.fused
 
     def _stop_reason(self, step: StepEntry) -> str | None:
-        if self._patience.exhausted:
+        if self._patience.exhausted and self._config.stopping.rule != "policy":
             return f"patience: {self._config.stopping.patience} observations brought nothing better"
         if step.index >= self._config.budget.actions:
             return f"budget: {self._config.budget.actions} actions"
@@ -308,6 +301,7 @@ class Session:
             scene=None if self.spatial is None else self.spatial.map,
             depth=view.observation.depth,
             pitch_index=view.observation.pitch_index,
+            node=view.observation.node,
         )
 
     def _move(self, decision: Decision, action: int) -> Move:
@@ -322,6 +316,8 @@ class Session:
     @property
     def leading(self) -> Glance | None:
         """The view that would be returned if the search ended now; None before the first one."""
+        if self._config.return_.view == "final":
+            return self.glance
         return self.best or self._runner_up or self.glance
 
     def _keep(self, step: StepEntry, maps: EvidenceMaps | None) -> None:
@@ -365,7 +361,7 @@ class Session:
             place = None
             if chosen is not None:
                 place = grounding.locate(chosen.detection.mask, view.observation.depth, view.viewpoint.camera)
-        if chosen is not None and self.best is None:
+        if chosen is not None and self.best is None and view is self._runner_up:
             self.announce("no region was large enough to be scored; the surest smaller one is returned")
         self._close(step)
         self.grounded = Grounded(

@@ -64,7 +64,7 @@ def assemble(config: Config, shelf: Shelf | None = None) -> tuple[Parts, Config]
             f"render.device {config.render.device}: {why}the world is rendered on {rendered_on}"
         )
     asked, config = config.encoder.name, config.with_(encoder={"name": settled(config.encoder).name})
-    if asked == "auto" and config.encoder.name == "lexical" and knowledge.replaces(config.knowledge):
+    if asked == "auto" and config.encoder.name == "lexical" and knowledge.compares(config.knowledge):
         announcements.append(
             "encoder: no weights of `embedded` are there; labels are compared by letters (`lexical`)"
         )

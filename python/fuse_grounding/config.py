@@ -10,20 +10,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive
+from fuse_grounding.arguments import Count, Flag, Fraction, Natural, Positive, Section
+from fuse_grounding.config_chat import LlmConfig, VlmConfig
 from fuse_grounding.config_text import explain, merge, parse_override, read
 from fuse_grounding.errors import InputError
 from fuse_grounding.splat import OFFICIAL, TrainerConfig
-
-
-class Section(BaseModel):
-    """A frozen group of settings; unknown keys are errors."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True, populate_by_name=True
-    )
 
 
 class CameraConfig(Section):
@@ -84,6 +77,9 @@ class StoppingConfig(Section):
     """Depth at which proximity is 1. Supplement, "Depth-Proximity Stopping Rule"."""
     far_m: Positive = 1.2
     """Depth at which proximity is 0. Supplement, "Depth-Proximity Stopping Rule"."""
+    rule: Literal["patience", "policy"] | None = None
+    """`patience`, or the policy alone; the budget ends a search in any case. None: as the method is defined,
+    which is the policy for `vlm` (supplement, "VLM Active")."""
 
 
 class SsnrConfig(Section):
@@ -215,7 +211,7 @@ class KnowledgeConfig(Section):
     """From a query to candidate labels."""
 
     source: str = "graph"
-    """`graph`, `oracle` or `direct`."""
+    """`graph`; `plain`, text similarity of verb and label; `oracle`; `direct`, the verb itself; or `llm`."""
     top_k: Count = 5
     """Candidates kept, best first. Ours."""
     oracle: Literal["target", "valid"] = "target"
@@ -223,6 +219,8 @@ class KnowledgeConfig(Section):
     open_vocabulary: Literal["leave_out", "nearest"] = "leave_out"
     """What becomes of a label that the segmenter does not know: left out, or replaced by the nearest known
     one by `encoder`; either is announced and recorded. `direct` always replaces. Ours."""
+    llm: LlmConfig = LlmConfig()
+    """The language model behind `llm`. Paper, "Robustness to Affordance Knowledge Sources"."""
 
 
 class SegmenterConfig(Section):
@@ -282,10 +280,13 @@ class CanonicalConfig(Section):
 
 
 class ReturnConfig(Section):
-    """Which views may be returned; seed views never are (supplement, "3D Gaussian Splatting")."""
+    """Which view is returned; seed views never are (supplement, "3D Gaussian Splatting")."""
 
     include_initial: bool = True
     """Whether the start view may be returned. Not in the paper."""
+    view: Literal["best", "final"] | None = None
+    """The highest-scoring view, or the last one. None: as the method is defined, which is the last one for
+    `vlm` (supplement, "VLM Active")."""
 
 
 class Config(Section):
@@ -311,6 +312,7 @@ class Config(Section):
     metric: MetricConfig = MetricConfig()
     random: RandomConfig = RandomConfig()
     canonical: CanonicalConfig = CanonicalConfig()
+    vlm: VlmConfig = VlmConfig()
     return_: ReturnConfig = Field(default=ReturnConfig(), alias="return")
 
     @classmethod

@@ -18,6 +18,10 @@ else:
     import tomli as tomllib
 
 
+_NOT_SHOWN = ("base_url", "key_env")
+"""Settings where a key may stand by mistake."""
+
+
 def read(path: Path) -> dict[str, Any]:
     """A TOML file's values. Raises InputError naming it."""
     try:
@@ -67,7 +71,8 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     expected = (first["msg"][0].lower() + first["msg"][1:]).removeprefix("input should be ")
     if first["type"] == "model_type":
         expected = "a table of settings"
-    return f"`{key}`: found {first['input']!r}, expected: {expected}"
+    found = "a text that is not shown" if first["loc"][-1] in _NOT_SHOWN else repr(first["input"])
+    return f"`{key}`: found {found}, expected: {expected}"
 
 
 def _keys_beside(root: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

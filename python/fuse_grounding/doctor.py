@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding import _core, splat
+from fuse_grounding.chat.cache import default_folder
 from fuse_grounding.config import Config
+from fuse_grounding.config_chat import ChatConfig
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.perception.doors import ENCODER_GROUP, ENCODERS, SEGMENTER_GROUP, SEGMENTERS, settled
 from fuse_grounding.perception.own import entry_points, load
@@ -131,8 +133,37 @@ def _own(kind: str, group: str, doors: Registry[Any], chosen: Any) -> list[Check
     return checks
 
 
+def _models(config: Config) -> list[Check]:
+    """A line for each language model: whether an endpoint is named. None is asked."""
+    return [
+        _model("knowledge.llm", config.knowledge.llm, config.knowledge.source == "llm"),
+        _model("vlm", config.vlm, config.method == "vlm"),
+    ]
+
+
+def _model(section: str, chosen: ChatConfig, needed: bool) -> Check:
+    title = f"language model {section}"
+    missing = [f"{section}.{name}" for name in ("base_url", "model") if not getattr(chosen, name)]
+    if missing:
+        found = "no endpoint is configured" if len(missing) == 2 else f"{missing[0]} is not set"
+        hint = f"--set {missing[0]}=... (docs/language-models.md)"
+        return Check(title, False, found, hint, needed=needed)
+    found = f"`{chosen.model}` at {chosen.base_url}"
+    if chosen.offline:
+        return Check(title, True, f"{found}: offline, from {chosen.cache or default_folder()}")
+    if not installed("urllib3"):
+        return Check(
+            title, False, f"{found}: needs urllib3", "pip install 'fuse-grounding[llm]'", needed=needed
+        )
+    if chosen.key_env and not os.environ.get(chosen.key_env, "").strip():
+        hint = f"export {chosen.key_env}=..."
+        return Check(title, False, f"{found}: {chosen.key_env} is not set", hint, needed=needed)
+    key = f"with the key in {chosen.key_env}" if chosen.key_env else "without a key"
+    return Check(title, True, f"{found}, {key} (not called)")
+
+
 def examine(config: Config | None = None) -> list[Check]:
-    """All checks, in the order of the report; `config` says which segmenter and encoder must be usable."""
+    """All checks, in the order of the report; `config` says which parts must be usable."""
     config = config or Config()
     encoder = settled(config.encoder)
     return [
@@ -151,6 +182,7 @@ def examine(config: Config | None = None) -> list[Check]:
         *_own("segmenter", SEGMENTER_GROUP, SEGMENTERS, config.segmenter),
         *_doors("encoder", ENCODERS, encoder),
         *_own("encoder", ENCODER_GROUP, ENCODERS, encoder),
+        *_models(config),
         _shipped("objects", PACKAGE / "data" / "objects"),
         _shipped("scenes", PACKAGE / "data" / "scenes.json"),
         _shipped("segmenter weights", PACKAGE / "weights" / "segmenter.onnx"),

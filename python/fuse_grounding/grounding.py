@@ -1,4 +1,4 @@
-"""What a search hands back: a move to make, or the grounded object and where it is."""
+"""What a search hands back: a view it wants, a move to make, or the grounded object and where it is."""
 
 from __future__ import annotations
 
@@ -27,6 +27,14 @@ class Move:
     ring: int
     pitch: int
     decision: Decision = field(repr=False)
+
+
+@dataclass(frozen=True)
+class SeedRequest:
+    """A view wanted before the first step: `ring` nodes from the start, absolute `pitch_index`."""
+
+    ring: int
+    pitch_index: int
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from dataclasses import asdict
 from fuse_grounding.config import Config
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.grounding import Grounded, encode_mask
-from fuse_grounding.knowledge.protocol import Candidate, Hypotheses, Query
+from fuse_grounding.knowledge.protocol import Candidate, Confidant, Hypotheses, Query
 from fuse_grounding.parts import Parts
-from fuse_grounding.planning.protocol import Decision
+from fuse_grounding.planning.protocol import Consulting, Decision, Policy
 from fuse_grounding.record import (
     BoxEntry,
     CandidateEntry,
@@ -45,6 +45,15 @@ def open_record(config: Config, parts: Parts, query: Query, hypotheses: Hypothes
     )
 
 
+def opening(policy: Policy, world: Confidant | None) -> list[str]:
+    """What the record announces of a policy; one that consults the world does so here. Raises InputError."""
+    asked = policy.consult(world) if isinstance(policy, Consulting) else None
+    notes = [] if asked is None else [asked]
+    if policy.planner == "none":
+        notes.append("no amortised planner is loaded: every decision is explicit")
+    return notes
+
+
 def _entries(candidates: Sequence[Candidate]) -> list[CandidateEntry]:
     return [CandidateEntry(label=c.label, score=c.score, reason=c.reason) for c in candidates]
 
@@ -69,8 +78,9 @@ def initialization(
     return InitializationEntry(seeds=entries, points=points, timings=timings)
 
 
-def note(step: StepEntry, decision: Decision) -> None:
-    """Writes a decision into its step."""
+def note(record: EpisodeRecord, step: StepEntry, decision: Decision) -> None:
+    """Writes a decision into its step, and its notes into the record, each once."""
+    record.announcements += [n for n in decision.notes if n not in record.announcements]
     step.branch, step.action = decision.branch, decision.action
     step.entropy, step.reason = decision.entropy, decision.reason
     if decision.values is not None:

@@ -23,6 +23,10 @@ SCHEMA_VERSION = 1
 Timings = dict[str, float]
 
 
+HOSTED = "api"
+"""The stage in which a search waits for a hosted model: no part of its runtime (supplement)."""
+
+
 class Stopwatch:
     """Seconds by stage: `with clock("segment"): ...`. Stages add up; a nested stage is not counted twice.
 
@@ -46,8 +50,12 @@ class Stopwatch:
             own = elapsed - self._inner.pop()
             if self._inner:
                 self._inner[-1] += elapsed
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + own
-            self.calls[stage] = self.calls.get(stage, 0) + 1
+            self.add(stage, own)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """One call of `stage` that took `seconds`."""
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+        self.calls[stage] = self.calls.get(stage, 0) + 1
 
     def take(self) -> Timings:
         """What was measured since the last call, rounded to microseconds."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from fuse_grounding import knowledge
 from fuse_grounding._core import Camera
-from fuse_grounding.benchmark.methods import METHODS
+from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.config import Config
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.parts import Parts, Spatial
@@ -155,8 +155,7 @@ class Kit:
     """Parts for a method, with the doubles at hand."""
 
     def __init__(self, method: str, score: Score, config: Config = CONFIG, policy: Any = None):
-        self.config = config.with_(method=method)
-        chosen = METHODS.get(method)
+        chosen, self.config = resolve(config.with_(method=method))
         self.seer, self.registrar, self.map = Seer(score), Registrar(), GreyMap()
         self.parts = Parts(
             understand=knowledge.parse,

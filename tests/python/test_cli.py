@@ -13,6 +13,8 @@ import pytest
 
 from fuse_grounding._core import __version__
 from fuse_grounding.cli.app import execute
+from fuse_grounding.config import EncoderConfig
+from fuse_grounding.perception.doors import settled
 from fuse_grounding.record import EpisodeRecord
 
 
@@ -77,8 +79,8 @@ def test_an_output_folder_in_use_is_left_alone(capsys: pytest.CaptureFixture[str
 
 def test_benchmarks_refuse_unknown_methods_and_sets(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     out = str(tmp_path / "b")
-    status, _, stderr = run(capsys, "bench", "--methods", "static,vlm", "--out", out)
-    assert (status, "unknown method `vlm`" in stderr) == (2, True)
+    status, _, stderr = run(capsys, "bench", "--methods", "static,vml", "--out", out)
+    assert (status, "unknown method `vml`; did you mean `vlm`?" in stderr) == (2, True)
     status, _, stderr = run(capsys, "bench", "--episodes", "nowhere", "--out", out)
     assert (status, "nowhere" in stderr) == (2, True)
     assert not Path(out).exists()
@@ -88,7 +90,8 @@ def test_knowledge_prints_json_alone(capsys: pytest.CaptureFixture[str]):
     status, stdout, _ = run(capsys, "knowledge", "--json")
     table = json.loads(stdout)
     assert status == 0
-    assert set(table) == {"graph", "direct"}
+    assert set(table) == {"graph", "plain", "direct"}
+    assert [table[name]["encoder"] for name in ("graph", "plain")] == [None, settled(EncoderConfig()).name]
     assert table["graph"]["recall"] > table["direct"]["recall"]
     assert table["graph"]["precision"] > table["direct"]["precision"]
 

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
 import pytest
 
 from fuse_grounding import knowledge
@@ -141,6 +144,50 @@ def test_direct_announces_the_replacement_of_the_verb():
     opened = source.hypotheses(pour_query(), None, None)
     assert opened.labels == ("pour",)
     assert not opened.announcements
+
+
+class Table:
+    """A text encoder of three axes, known by heart."""
+
+    name = "table"
+    axes: ClassVar[dict[str, tuple[float, float, float]]] = {
+        "pour": (1, 0, 0),
+        "teapot": (0.8, 0.6, 0),
+        "water bottle": (0.6, 0.8, 0),
+        "mug": (0.6, 0.8, 0),
+        "book": (-1, 0, 0),
+        "ruler": (0, 0, 1),
+    }
+
+    def text(self, texts: Sequence[str]) -> np.ndarray:
+        return np.array([self.axes[text] for text in texts], np.float32)
+
+
+def test_plain_ranks_labels_by_text_similarity_in_one_hop():
+    source = knowledge.make(KnowledgeConfig(source="plain"), Table())
+    found = source.hypotheses(pour_query(), ("book", "water_bottle", "mug", "ruler", "teapot"), None)
+    # Best first, ties in the order of the labels; what is not similar at all is no candidate.
+    assert [(c.label, c.score) for c in found.candidates] == [
+        ("teapot", 0.8),
+        ("water_bottle", 0.6),
+        ("mug", 0.6),
+    ]
+    assert found.announcements == ("plain: labels were compared with the verb `pour` by table",)
+    assert found.unknown == ()
+    few = knowledge.make(KnowledgeConfig(source="plain", top_k=1), Table())
+    assert few.hypotheses(pour_query(), ("mug", "teapot"), None).labels == ("teapot",)
+    none = source.hypotheses(pour_query(), ("book",), None)
+    assert nothing_known(none) == "no candidate: plain proposed nothing"
+
+
+def test_plain_without_a_closed_set_ranks_what_the_catalogue_calls_things():
+    source = knowledge.make(KnowledgeConfig(source="plain"))  # by letters
+    found = source.hypotheses(Query("staple", "staple", "staple"), None, None)
+    assert found.labels[0] == "stapler"
+    assert "by lexical" in found.announcements[0]
+    # Nothing that the graph knows decides: a verb whose letters are in no label finds none of its things.
+    write = source.hypotheses(Query("write", "write", "write"), ("pen", "book"), None)
+    assert write.labels == ()
 
 
 def test_the_oracle_asks_openly():

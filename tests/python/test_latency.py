@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from fuse_grounding.benchmark.latency import COMPONENTS, HOSTED, latency
+from fuse_grounding.benchmark.latency import COMPONENTS, latency
 from fuse_grounding.errors import InputError
+from fuse_grounding.record import HOSTED
 
 
 def row(**changes: Any) -> dict[str, Any]:

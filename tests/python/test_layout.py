@@ -74,6 +74,16 @@ def test_knowledge_never_reads_the_validity_table():
             assert "validity" not in path.read_text(), f"{path.name} may not see what judges it"
 
 
+def test_only_the_chat_endpoint_opens_connections():
+    opening = {"urllib.request", "http.client", "socket", "ftplib", "requests", "httpx", "aiohttp", "openai"}
+    for path in python_files():
+        inside = path == PACKAGE / "chat" / "endpoint.py"
+        if "training" in path.parts:
+            continue
+        assert inside or not imports(path) & opening, path
+        assert inside or 'require("urllib3"' not in path.read_text(), path
+
+
 def test_only_the_bindings_know_python():
     for crate in CRATES.iterdir():
         names = (crate / "Cargo.toml").read_text()

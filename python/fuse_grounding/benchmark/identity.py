@@ -35,6 +35,15 @@ RUNTIME_SETTINGS = {
     "planner.weights": "where the file lies; its bytes count, under `weights`",
     "map.device": "what was wished for; what was taken counts, under `device`",
     "render.device": "what was wished for; what was taken counts, under `render_device`",
+    **{
+        f"{section}.{name}": why
+        for section in ("knowledge.llm", "vlm")
+        for name, why in (
+            ("key_env", "who asks; the address and the name of the model count"),
+            ("cache", "where replies lie"),
+            ("offline", "whether more may be asked: without a reply, nothing runs"),
+        )
+    },
 }
 """Settings without influence on a result, each with the reason; every other setting is identity."""
 

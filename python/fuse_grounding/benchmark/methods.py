@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fuse_grounding import user_code
+from fuse_grounding import chat, user_code
 from fuse_grounding.config import Config
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.planning.amortized import Amortized, load_planner
@@ -20,6 +20,7 @@ from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
 from fuse_grounding.planning.protocol import Policy
 from fuse_grounding.planning.random_walk import RandomWalk
+from fuse_grounding.planning.vlm import Vlm
 from fuse_grounding.registry import Registry, unknown
 
 
@@ -28,9 +29,10 @@ class Method:
     """A named way of searching.
 
     `policy` makes one from the configuration and the episode's index; `maps` says whether it takes
-    seed views, registers and maps; `stopping` is `patience` (with the budget) or `one view`, which is the
-    policy's doing. `segmenter`, `knowledge`, `registration` and `patience` replace what is configured
-    where the method is defined by them. `source` is the file of a user's own.
+    seed views, registers and maps; `stopping` is `patience` (with the budget), `one view`, which is the
+    policy's doing, or `policy`: it alone (with the budget) ends the search, and the last view is returned.
+    `segmenter`, `knowledge`, `registration` and `patience` replace what is configured where the method is
+    defined by them. `source` is the file of a user's own.
     """
 
     name: str
@@ -52,8 +54,11 @@ class Method:
             "registration": {"backend": self.registration},
             "stopping": {"patience": self.patience},
         }
-        changes = {k: v for k, v in fixed.items() if None not in v.values()}
-        return config.with_(**changes) if changes else config
+        if self.stopping == "policy":
+            fixed["stopping"]["rule"] = config.stopping.rule or "policy"
+            fixed["return_"] = {"view": config.return_.view or "final"}
+        given = {name: {k: v for k, v in section.items() if v is not None} for name, section in fixed.items()}
+        return config.with_(**{name: section for name, section in given.items() if section})
 
 
 METHODS: Registry[Method] = Registry("method")
@@ -96,6 +101,13 @@ _add(
     lambda config, episode: RandomWalk(config.random.seed + episode),
     maps=False,
     summary="uniform over the feasible actions",
+)
+_add(
+    "vlm",
+    lambda config, episode: Vlm(chat.opened(config.vlm, "vlm"), config.vlm, config.camera),
+    maps=False,
+    stopping="policy",
+    summary="a vision-language model sees colour and depth, moves, and stops (docs/language-models.md)",
 )
 _add(
     "semantic_only",

@@ -15,11 +15,10 @@ from fuse_grounding.config import Config
 from fuse_grounding.environment import Target
 from fuse_grounding.grounding import Grounded
 from fuse_grounding.perception.protocol import Segmenter
+from fuse_grounding.record import HOSTED
 
 _EPSILON = 1e-9
 _PERCENTILE = 90.0
-HOSTED = "api"
-"""The stage of `timings` in which a search waits for a hosted model: no part of its runtime (supplement)."""
 
 Value = bool | int | float | None
 

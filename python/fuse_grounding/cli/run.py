@@ -79,7 +79,7 @@ def command(
         typer.Option(help="Horizontal field of view of the photos, degrees; default: EXIF, COLMAP."),
     ] = None,
     source: Annotated[
-        str | None, typer.Option("--knowledge", help="graph, oracle or direct; default: graph.")
+        str | None, typer.Option("--knowledge", help="graph, plain, llm, oracle or direct; default: graph.")
     ] = None,
     registration: Annotated[str | None, typer.Option(help="colmap or posed; default: colmap.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file with settings.")] = None,

@@ -10,9 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.affordances import Affordances, Thing, Verb
-from fuse_grounding.knowledge.protocol import Candidate, Confidant, Hypotheses, Query
+from fuse_grounding.knowledge.protocol import (
+    Candidate,
+    Confidant,
+    Hypotheses,
+    NothingProposed,
+    Query,
+)
 from fuse_grounding.knowledge.vocabulary import within
 
 
@@ -46,7 +51,7 @@ class Graph:
         if not found:
             verb = self._graph.verbs[query.verb]
             served = [v for v in self._graph.verbs if self._rank(v)]
-            raise InputError(
+            raise NothingProposed(
                 f"nothing in the graph satisfies `{query.verb}` ({verb.rationale}); "
                 f"verbs that something does satisfy: {', '.join(served)}"
             )

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fuse_grounding.errors import InputError
 from fuse_grounding.knowledge.affordances import shipped
-from fuse_grounding.knowledge.protocol import KnowledgeSource, Query
+from fuse_grounding.knowledge.protocol import KnowledgeSource, NothingProposed, Query
 
 PATH = Path(__file__).parent.parent / "data" / "validity.json"
 
@@ -65,7 +65,7 @@ def judge(source: KnowledgeSource, table: Mapping[str, Mapping[str, bool]]) -> l
 def _judge_verb(source: KnowledgeSource, verb: str, row: Mapping[str, bool]) -> Judgement:
     try:
         proposed = source.hypotheses(Query(verb, verb, verb), tuple(row), None).labels
-    except InputError:
+    except NothingProposed:
         proposed = ()  # the source has nothing to propose: recall pays for it
     right = tuple(x for x in proposed if row.get(x, False))
     wrong = tuple(x for x in proposed if not row.get(x, False))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
+
+from fuse_grounding.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Hypotheses:
     """Candidates, best first, and what a reader must know about how they came about.
 
     `unknown` were proposed and left out, because the segmenter does not know them; `replaced` were
-    proposed in other words (`knowledge.vocabulary`).
+    proposed in other words (`knowledge.vocabulary`). `api_seconds` were spent on a language model.
     """
 
     source: str
@@ -49,11 +51,16 @@ class Hypotheses:
     announcements: tuple[str, ...] = ()
     unknown: tuple[Candidate, ...] = ()
     replaced: tuple[Replacement, ...] = ()
+    api_seconds: float = field(default=0.0, compare=False)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the candidates, best first."""
         return tuple(c.label for c in self.candidates)
+
+
+class NothingProposed(InputError):
+    """A source knows the verb, and nothing that serves it."""
 
 
 class Confidant(Protocol):
@@ -82,7 +89,7 @@ class KnowledgeSource(Protocol):
         """At most the configured number of candidates out of `vocabulary` (None: anything goes).
 
         What it proposes beyond `vocabulary` is in `unknown`; there may be no candidate but those.
-        `world` is there for sources that ask it openly; others do not touch it. Raises InputError
-        when nothing is proposed at all.
+        `world` is there for sources that ask it openly; others do not touch it. Raises InputError,
+        NothingProposed where the verb is served by nothing.
         """
         ...

@@ -72,6 +72,7 @@ def replaced(open_: Hypotheses, vocabulary: Sequence[str], nearest: Nearest) -> 
         (*open_.announcements, *notes, *_left_out(open_.source, unknown)),
         tuple(unknown),
         tuple(replacements),
+        open_.api_seconds,
     )
 
 
@@ -105,5 +106,7 @@ def nothing_known(hypotheses: Hypotheses) -> str | None:
     """Why a search without candidates ends; None where there are some."""
     if hypotheses.candidates:
         return None
+    if not hypotheses.unknown:
+        return f"no candidate: {hypotheses.source} proposed nothing"
     labels = ", ".join(c.label for c in hypotheses.unknown)
     return f"no candidate: the segmenter knows none of the proposed labels ({labels})"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fuse_grounding.knowledge.protocol import Candidate
+from fuse_grounding.knowledge.protocol import Candidate, Confidant
 from fuse_grounding.perception.protocol import Detection
 from fuse_grounding.record import Stopwatch
 
@@ -38,8 +38,8 @@ class Situation:
     """What is known when the next action is chosen.
 
     `rgb` (H, W, 3) uint8; `feasible` (15,) bool by action index; `camera` the registered camera;
-    `scene` the map; both None for methods that neither register nor map. `depth` (H, W) metres and
-    `pitch_index` where they are known.
+    `scene` the map; both None for methods that neither register nor map. `depth` (H, W) metres,
+    `node` and `pitch_index` where they are known.
     """
 
     index: int
@@ -51,6 +51,7 @@ class Situation:
     scene: SpatialMap | None = None
     depth: np.ndarray | None = None
     pitch_index: int | None = None
+    node: int | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class EvidenceMaps:
 class Decision:
     """The next action, or None to end the search, and how it came about.
 
-    `values` (15,) float, NaN where an action is masked.
+    `values` (15,) float, NaN where an action is masked. `notes` are what the record must announce.
     """
 
     action: int | None
@@ -82,6 +83,7 @@ class Decision:
     entropy: float | None = None
     reason: str = ""
     maps: EvidenceMaps | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Policy(Protocol):
@@ -99,6 +101,18 @@ class Policy(Protocol):
 
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
         """The next action; seconds go to the clock's stages refine, render, evidence, predict, plan."""
+        ...
+
+
+@runtime_checkable
+class Consulting(Protocol):
+    """A policy that may ask the world openly for a label, before the first step."""
+
+    def consult(self, world: Confidant | None) -> str | None:
+        """Asks, and returns what the record announces of that; None where nothing was asked.
+
+        Raises InputError where there is no world that knows.
+        """
         ...
 
 
