@@ -306,5 +306,6 @@ def test_the_command_line_runs_a_real_episode_with_both_models(tmp_path: Path):
     assert (row["status"], row["branches"], row["candidates"]) == ("ok", {"vlm": 2}, ["knife"])
     assert row["stop_reason"] == "budget: 2 actions"
     assert row["timings"]["api"] > 0
+    assert row["calls"].pop("api") == 3
     (again,) = bench("offline", server.url, "vlm.offline=true", "knowledge.llm.offline=true")
     assert bare(again) == bare(row)
