@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass
 from statistics import mean, stdev
 from typing import Any
 
-from fuse_grounding.record import HOSTED
 from fuse_grounding.errors import InputError
 from fuse_grounding.record import HOSTED
 
