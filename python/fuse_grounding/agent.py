@@ -23,7 +23,7 @@ from fuse_grounding.errors import InputError
 from fuse_grounding.grounding import Grounded, Move, Viewpoint
 from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.knowledge.vocabulary import nothing_known
-from fuse_grounding.parts import Glance, Parts, Watcher
+from fuse_grounding.parts import Glance, Parts, Watcher, surer
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
 from fuse_grounding.record import StepEntry, Stopwatch
@@ -275,7 +275,7 @@ class Session:
         if index > 0 or self._config.return_.include_initial:
             improved = self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
-            self._runner_up = _surer(self._runner_up, self.glance)
+            self._runner_up = surer(self._runner_up, self.glance)
         step = StepEntry(
             index=index,
             node=seen.node,
@@ -320,6 +320,11 @@ class Session:
 
     # -- what is kept ----------------------------------------------------------------------------
 
+    @property
+    def leading(self) -> Glance | None:
+        """The view that would be returned if the search ended now; None before the first one."""
+        return self.best or self._runner_up or self.glance
+
     def _keep(self, step: StepEntry, maps: EvidenceMaps | None) -> None:
         """Attaches the evidence of a decision to the last view; under `explicit.every_step`, makes it."""
         assert self.glance is not None
@@ -354,13 +359,13 @@ class Session:
         """The search is over: the best instance of the best view, and where it is."""
         if step.branch is None:
             self._keep(step, None)
-        view = self.best or self._runner_up or self.glance
+        view = self.returned = self.leading
         assert view is not None
-        self.returned = view
         with self.clock("ground"):
-            fused, chosen = grounding.best_fused(view.scored), grounding.best_instance(view.scored)
-            if self._config.metric.select == "fused":
-                chosen = fused or chosen
+            fused, chosen = (
+                grounding.best_fused(view.scored),
+                grounding.choose(view.scored, self._config.metric),
+            )
             place = None
             if chosen is not None:
                 place = grounding.locate(chosen.detection.mask, view.observation.depth, view.viewpoint.camera)
@@ -389,11 +394,3 @@ class Session:
         for watcher in self._watchers:
             watcher.finished(self, self.grounded)
         return self.grounded
-
-
-def _surer(held: Glance | None, new: Glance) -> Glance | None:
-    """The view with the surer instance, whatever its size; None while nothing was seen."""
-    ours, theirs = (None if g is None else grounding.best_instance(g.scored) for g in (held, new))
-    if theirs is None or (ours is not None and ours.detection.score >= theirs.detection.score):
-        return held
-    return new

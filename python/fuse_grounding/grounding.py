@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from fuse_grounding import evidence
-from fuse_grounding.config import StoppingConfig
+from fuse_grounding.config import MetricConfig, StoppingConfig
 from fuse_grounding.perception.protocol import Detection
 from fuse_grounding.planning.protocol import Decision
 from fuse_grounding.record import EpisodeRecord, MaskEntry, ScoreEntry
@@ -125,6 +125,12 @@ def best_fused(scored: Sequence[Scored]) -> Scored | None:
 def best_instance(scored: Sequence[Scored]) -> Scored | None:
     """The detection with the highest segmentation score, however small; the first of equals."""
     return max(scored, key=lambda s: s.detection.score, default=None)
+
+
+def choose(scored: Sequence[Scored], metric: MetricConfig) -> Scored | None:
+    """The detection whose mask is returned, as `metric.select` says; None without detections."""
+    surest = best_instance(scored)
+    return best_fused(scored) or surest if metric.select == "fused" else surest
 
 
 def score_entries(scored: Sequence[Scored]) -> list[ScoreEntry]:

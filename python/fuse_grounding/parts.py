@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from fuse_grounding.environment.protocol import Observation
-from fuse_grounding.grounding import Grounded, Scored, Viewpoint
+from fuse_grounding.grounding import Grounded, Scored, Viewpoint, best_instance
 from fuse_grounding.knowledge.protocol import KnowledgeSource, Query
 from fuse_grounding.perception.protocol import Detection, Segmenter
 from fuse_grounding.planning.protocol import EvidenceMaps, Policy, Rendering, Situation, SpatialMap
@@ -81,6 +81,14 @@ class Glance:
     def detections(self) -> list[Detection]:
         """Instances of the candidates, best first."""
         return [s.detection for s in self.scored]
+
+
+def surer(held: Glance | None, new: Glance) -> Glance | None:
+    """The view with the surer instance, whatever its size; None while nothing was seen."""
+    ours, theirs = (None if g is None else best_instance(g.scored) for g in (held, new))
+    if theirs is None or (ours is not None and ours.detection.score >= theirs.detection.score):
+        return held
+    return new
 
 
 class Watcher(Protocol):

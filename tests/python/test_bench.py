@@ -5,16 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from agent_doubles import HEIGHT, WIDTH, Kit, World, camera
 
-from fuse_grounding.agent import Agent
-from fuse_grounding.benchmark import identity, metrics
+from fuse_grounding.benchmark import identity
 from fuse_grounding.benchmark.store import HEADER, RESULTS, ResultStore
 from fuse_grounding.cli.bench import summary
 from fuse_grounding.config import Config
-from fuse_grounding.environment import Episode, Target
+from fuse_grounding.environment import Episode
 from fuse_grounding.errors import InputError
 
 PROVENANCE: dict[str, Any] = {
@@ -191,59 +188,3 @@ def test_the_summary_is_of_runs_that_went_through():
     assert s["shares"] == {"refine": 0.75, "segment": 0.25}
     assert list(s["shares"]) == ["refine", "segment"]
     assert summary("random", rows) == {"method": "random", "episodes": 0, "failed": 0}
-
-
-def test_metrics_by_hand():
-    a = np.zeros((4, 6), bool)
-    b = a.copy()
-    a[:, :3] = True
-    b[:, 2:4] = True
-    assert metrics.iou(a, b) == pytest.approx(4 / 16)
-    assert metrics.iou(a & False, b & False) == 0.0
-    assert metrics.pixel_ratio(30, 10, 50) == pytest.approx(0.5)
-    assert metrics.pixel_ratio(70, 10, 50) == 1.0
-    assert metrics.distance_score(0.6, 0.5, 1.0) == pytest.approx(0.8)
-    assert metrics.distance_score(2.0, 0.5, 1.0) == 0.0
-    middle = np.zeros((4, 6), bool)
-    middle[1:3, 2:4] = True
-    assert metrics.center_score(middle) == pytest.approx(1.0)
-    corner = np.zeros((4, 6), bool)
-    corner[0, 0] = True
-    # Pixel centre (0.5, 0.5), image centre (3, 2), corner distance sqrt(13).
-    assert metrics.center_score(corner) == pytest.approx(1 - np.sqrt(2.5**2 + 1.5**2) / np.sqrt(13))
-    assert metrics.center_score(corner & False) == 0.0
-
-
-def test_evaluating_takes_the_best_valid_object():
-    ids = np.zeros((HEIGHT, WIDTH), np.uint32)
-    ids[0:20, 0:20] = 4  # the sampled target
-    ids[14:34, 5:25] = 9  # another valid object, where the double sees its knife
-
-    class Truth:
-        def true_instances(self, node: int | None, pitch_index: int | None) -> np.ndarray:
-            assert (node, pitch_index) == (0, 1)
-            return ids
-
-        def true_targets(self) -> list[Target]:
-            def target(instance: int, label: str, x: float) -> Target:
-                nothing = np.zeros((36, 3))
-                return Target(instance, label, np.array([x, 0.0, 0.0]), 100, 500, 1.0, 2.0, nothing, nothing)
-
-            return [target(4, "ruler", 0.2), target(9, "knife", -0.2)]
-
-    kit = Kit("static", lambda node, pitch: 0.6)
-    grounded = Agent(kit.config, kit.parts).run(World(), "cut")
-    found = metrics.evaluate(grounded, Truth(), kit.seer, kit.config)
-    assert (found["success"], found["iou"]) == (True, 1.0)
-    assert found["target_pixels"] == 400
-    assert found["target_pixel_ratio"] == pytest.approx(0.75)
-    distance = np.linalg.norm(camera(0, 1).center - [-0.2, 0, 0])
-    assert found["distance_score"] == pytest.approx(2.0 - distance)
-    assert found["final_score"] == 0.0  # the sampled target's label is a ruler, which is not seen
-    ids[ids == 9] = 0
-    ids[0:20, 0:20] = 4
-    lost = metrics.evaluate(grounded, Truth(), kit.seer, kit.config)
-    assert lost["success"] is False
-    assert lost["iou"] == pytest.approx(6 * 15 / (400 + 400 - 6 * 15))
-    assert lost["target_pixels"] == 400
-    assert lost["center_score"] == pytest.approx(metrics.center_score(ids == 4))

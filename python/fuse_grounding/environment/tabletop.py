@@ -137,19 +137,18 @@ class TabletopEnvironment:
         return tuple(dict.fromkeys(labels))
 
     def true_instances(self, node: int | None, pitch_index: int | None) -> np.ndarray:
-        """(480, 640) uint32 ids at a viewpoint; of the canonical view for None."""
-        seen = (
-            self.canonical_observation()
-            if node is None or pitch_index is None
-            else self.render_at(node, pitch_index)
-        )
-        assert seen.instance is not None
-        return seen.instance
+        """(480, 640) uint32 ids at a viewpoint, without a picture; of the canonical view for None."""
+        return self._world.depth_ids(self.true_camera(node, pitch_index))[1]
+
+    def true_camera(self, node: int | None, pitch_index: int | None) -> Camera:
+        """The exact camera at a viewpoint; of the canonical view for None."""
+        if node is None or pitch_index is None:
+            return self._world.canonical_camera()
+        return self.camera_at(node, pitch_index)
 
     def depth_ids(self, node: int, pitch_index: int) -> tuple[np.ndarray, np.ndarray]:
         """(480, 640) float32 exact depth in metres and (480, 640) uint32 ids, without a picture."""
-        camera = self._world.camera(whole("node", node), whole("pitch_index", pitch_index))
-        return self._world.depth_ids(camera)
+        return self._world.depth_ids(self.camera_at(node, pitch_index))
 
     def normals(self, node: int, pitch_index: int) -> np.ndarray:
         """(480, 640, 3) float32: unit normals at a viewpoint's pixel centres, zeros where nothing was hit.
