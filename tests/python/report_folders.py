@@ -39,7 +39,9 @@ _SHAPES = {
 _GATED = ("fuse", "fuse_oracle")
 
 
-def make_row(method: str, episode: Episode, index: int, trace: bool = True, shift: float = 0.0) -> dict[str, Any]:
+def make_row(
+    method: str, episode: Episode, index: int, trace: bool = True, shift: float = 0.0
+) -> dict[str, Any]:
     """A plausible row; the same arguments give the same one. `shift` moves the chance of success."""
     chance, actions, cost, seeds = _SHAPES.get(method, (0.5, 5, 1.0, 0))
     dice = random.Random(f"{method} {episode.episode_id} {shift}")

@@ -17,7 +17,9 @@ def command(
     folders: Annotated[
         list[Path], typer.Argument(help="Folders that `fuse bench --out` wrote, or that hold such folders.")
     ],
-    out: Annotated[Path | None, typer.Option(help="Where to write; default: `report` in the first one.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write; default: `report` in the first one.")
+    ] = None,
     partial: Annotated[
         bool, typer.Option("--partial", help="Report on unfinished runs, over the episodes that all share.")
     ] = False,

@@ -27,7 +27,9 @@ def tables(part: Part, natures: Mapping[str, Nature]) -> list[Table]:
     if natures:
         bins = _groups(part, lambda e, row: _bin(natures[e].start_fraction) if e in natures else "")
         found.append(
-            _table(part, "visibility", "Success by visibility at the start", "Target visible at the start", bins)
+            _table(
+                part, "visibility", "Success by visibility at the start", "Target visible at the start", bins
+            )
         )
     return found
 

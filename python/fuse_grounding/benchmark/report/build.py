@@ -61,7 +61,12 @@ def _part(part: Part, options: Options) -> list[Block]:
 def _main(part: Part, options: Options, over: str) -> list[Section]:
     wanted = {e: d for a in part.arms for f in a.folders for e, d in f.episodes.items()}
     known, why_not = natures(wanted, part.set_name, [str(p) for p in options.episodes])
-    curves: list[Block] = [plots.pareto(part), plots.over_steps(part), plots.entropy(part), plots.branches(part)]
+    curves: list[Block] = [
+        plots.pareto(part),
+        plots.over_steps(part),
+        plots.entropy(part),
+        plots.branches(part),
+    ]
     return [
         Section(f"curves-{part.set_name}", "Success against time and steps" + over, curves),
         Section(f"time-{part.set_name}", "Runtime" + over, timing.blocks(part)),

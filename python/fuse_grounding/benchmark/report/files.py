@@ -56,7 +56,10 @@ def csv_text(made: Table) -> str:
 
     Values are as computed: shares in [0, 1] whatever the page's unit.
     """
-    wide = [any(r.cells[i].low is not None for r in made.rows if i < len(r.cells)) for i in range(len(made.columns))]
+    wide = [
+        any(r.cells[i].low is not None for r in made.rows if i < len(r.cells))
+        for i in range(len(made.columns))
+    ]
     noted = any(r.note for r in made.rows)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

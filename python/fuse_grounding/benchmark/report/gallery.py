@@ -68,7 +68,7 @@ def blocks(results: Results, limit_mb: float = LIMIT_MB) -> list[Block]:
 
 
 def _kept(folder: Folder) -> Iterator[_Kept]:
-    for record in sorted((folder.path / GALLERY).glob("*/*/episode.json")):
+    for record in sorted((folder.path / GALLERY).glob("*/[!.]*/episode.json")):  # a dot: being written
         yield _Kept(record.parent, folder, record.parent.parent.name, record.parent.name)
 
 
@@ -106,14 +106,20 @@ def _facts(step: StepEntry, camera: dict[str, object]) -> list[tuple[str, str]]:
     if step.entropy is not None:
         facts.append(("entropy", f"{step.entropy:.3f}"))
     if step.action is not None:
-        facts.append(("action", f"{step.action % 5 - 2:+d} nodes, {step.action // 5 - 1:+d} pitch"))
+        facts.append(
+            ("action", f"{_signed(step.action % 5 - 2)} nodes, {_signed(step.action // 5 - 1)} pitch")
+        )
     here = max((s.fused for s in step.scores if s.fused is not None), default=None)
     facts.append(("score here", "–" if here is None else f"{here:.3f}"))
     best = "–" if step.best_score is None else f"{step.best_score:.3f}"
     facts.append(("best score", f"{best} (improved)" if step.improved else best))
     if step.reason:
         facts.append(("reason", step.reason))
-    return [(name, words.replace("-", "\N{MINUS SIGN}") if name == "action" else words) for name, words in facts]
+    return facts
+
+
+def _signed(number: int) -> str:
+    return "0" if number == 0 else f"{number:+d}".replace("-", "\N{MINUS SIGN}")
 
 
 def _pictures(folder: Path) -> list[Picture]:
@@ -151,7 +157,9 @@ class _Ring:
 
     def draw(self, steps: Sequence[StepEntry], index: int) -> str:
         """Where the camera has been, is (filled) and goes next (open); empty off the ring."""
-        path = [self._place(s.node, s.pitch_deg) for s in steps if s.node is not None and s.pitch_deg is not None]
+        path = [
+            self._place(s.node, s.pitch_deg) for s in steps if s.node is not None and s.pitch_deg is not None
+        ]
         if len(path) != len(steps):
             return ""
         rings = "".join(
@@ -166,4 +174,6 @@ class _Ring:
             parts.append(f'<circle class="next" cx="{nx:.1f}" cy="{ny:.1f}" r="3.5"/>')
         parts.append(f'<circle class="here" cx="{x:.1f}" cy="{y:.1f}" r="4"/>')
         label = "Viewpoints from above: the path so far, the camera now (filled), the next view (open)"
-        return f'<svg class="ring" viewBox="0 0 100 100" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+        return (
+            f'<svg class="ring" viewBox="0 0 100 100" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+        )

@@ -53,7 +53,9 @@ def _section(section: Section) -> str:
         inner = "\n".join(_block(b) for b in blocks)
         parts.append(f'<div class="figures">{inner}</div>' if plots else inner)
     return (
-        f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n' + "\n".join(parts) + "</section>"
+        f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n'
+        + "\n".join(parts)
+        + "</section>"
     )
 
 
@@ -98,7 +100,9 @@ def _head(column: Column) -> str:
     arrow = f'&nbsp;<abbr title="{column.better} is better">{column.arrow}</abbr>' if column.better else ""
     unit = f'<span class="unit">{escape(column.unit)}</span>' if column.unit else ""
     kind = "word" if column.word else "number"
-    return f'<th scope="col" class="{kind}"><span class="name">{escape(column.title)}{arrow}</span>{unit}</th>'
+    return (
+        f'<th scope="col" class="{kind}"><span class="name">{escape(column.title)}{arrow}</span>{unit}</th>'
+    )
 
 
 def _row(made: Table, row: Row) -> str:
@@ -137,7 +141,7 @@ def _strip(strip: Strip) -> str:
     return (
         f'<details class="strip"><summary><span class="query">{escape(strip.title)}</span> '
         f'<span class="who">{escape(strip.method)} · {escape(strip.episode)}</span> '
-        f'<span class="verdict">{escape(strip.verdict)} · {len(strip.frames)} views</span></summary>'
+        f'<span class="verdict">{escape(strip.verdict)} · {len(strip.frames)} view{"s" * (len(strip.frames) != 1)}</span></summary>'
         f'<div class="frames">{frames}</div></details>'
     )
 

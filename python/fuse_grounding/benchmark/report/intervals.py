@@ -9,6 +9,9 @@ import numpy as np
 
 from fuse_grounding.benchmark import statistics
 
+_BATCH = 1000
+"""Resamples that are drawn at once."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -40,10 +43,10 @@ def ratio(above: Sequence[float], below: Sequence[float]) -> Interval:
     """Ratio of two sums over the same episodes, with the percentile interval of paired resamples."""
     a, b = np.asarray(above, np.float64), np.asarray(below, np.float64)
     random = np.random.default_rng(statistics.SEED)
-    ratios = np.empty(statistics.RESAMPLES)
-    for k in range(statistics.RESAMPLES):
-        drawn = random.integers(0, len(a), len(a))
-        ratios[k] = a[drawn].sum() / b[drawn].sum()
+    ratios: list[float] = []
+    while len(ratios) < statistics.RESAMPLES:
+        drawn = random.integers(0, len(a), (_BATCH, len(a)))
+        ratios += (a[drawn].sum(1) / b[drawn].sum(1)).tolist()
     tail = 50 * (1 - statistics.CONFIDENCE)
     low, high = np.percentile(ratios, [tail, 100 - tail])
     return Interval(float(a.sum() / b.sum()), float(low), float(high))

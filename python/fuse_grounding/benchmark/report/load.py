@@ -134,7 +134,9 @@ def load(folders: Sequence[Path], partial: bool = False) -> Results:
     """
     found = [_read(path, label) for path, label in _find(folders)]
     if not any(f.rows for f in found):
-        raise InputError(f"{', '.join(str(f.path) for f in found)}: no results yet; expected lines in {RESULTS}")
+        raise InputError(
+            f"{', '.join(str(f.path) for f in found)}: no results yet; expected lines in {RESULTS}"
+        )
     found.sort(key=lambda f: (labels.place(f.part, labels.PARTS), *_set_place(f)))
     parts, incomplete = _parts(found), []
     for part in parts:
@@ -151,7 +153,9 @@ def _find(folders: Sequence[Path]) -> list[tuple[Path, str]]:
     found: dict[Path, tuple[Path, str]] = {}
     for folder in folders:
         if not folder.is_dir():
-            raise InputError(f"results folder {folder} {'is a file' if folder.exists() else 'does not exist'}")
+            raise InputError(
+                f"results folder {folder} {'is a file' if folder.exists() else 'does not exist'}"
+            )
         headers = sorted(
             h for depth in range(_DEPTH + 1) for h in folder.glob("*/" * depth + HEADER) if h.is_file()
         )
@@ -251,11 +255,7 @@ def _add(arm: Arm, row: Row, folder: Folder) -> None:
 
 def _result(row: Row) -> dict[str, Any]:
     """A row without what may differ between two runs of it."""
-    return {
-        k: v
-        for k, v in row.items()
-        if k not in _ABOUT_THE_RUN and not k.endswith("_seconds")
-    }
+    return {k: v for k, v in row.items() if k not in _ABOUT_THE_RUN and not k.endswith("_seconds")}
 
 
 def _varied(settings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import re
 
-from fuse_grounding.benchmark.report.model import Block, Column, Facts, Figure, Gallery, Report, Row, Table, Text
+from fuse_grounding.benchmark.report.model import (
+    Block,
+    Column,
+    Facts,
+    Figure,
+    Gallery,
+    Report,
+    Row,
+    Table,
+    Text,
+)
 
 
 def render(report: Report) -> str:

@@ -28,10 +28,10 @@ def _folders(results: Results) -> Table:
         Column("part", "Part", word=True),
         Column("set", "Episodes of", word=True),
         Column("methods", "Methods", word=True),
-        *(Column(key, key, word=True) for key in differing),
         Column("episodes", "Episodes", "", 0),
         Column("results", "Results", "", 0),
         Column("errors", "Errors", "", 0),
+        *(Column(key, key, word=True) for key in differing),
     ]
     lines: list[Row] = []
     for f in results.folders:
@@ -43,10 +43,11 @@ def _folders(results: Results) -> Table:
         ]
         counts = [len(f.episodes), len(f.rows), sum(r["status"] != "ok" for r in f.rows)]
         settings = [_setting(f.settings, key) for key in differing]
-        lines.append(Row([*map(Cell, words), *settings, *map(Cell, counts)]))
+        lines.append(Row([*map(Cell, words), *map(Cell, counts), *settings]))
     entries = dict.fromkeys((f.part, *entry) for f in results.folders for entry in f.not_run)
     lines += [
-        Row([Cell(name), Cell(labels.part(part))], note=f"not run: {reason}") for part, name, reason in entries
+        Row([Cell(name), Cell(labels.part(part))], note=f"not run: {reason}")
+        for part, name, reason in entries
     ]
     caption = (
         "A result is one method on one episode. Settings that differ between folders have a column; all others are "
@@ -78,7 +79,12 @@ def _facts(folder: Folder) -> dict[str, str]:
 
 def _name(key: str) -> str:
     """`packages.numpy` as `numpy`, `sha256.segmenter` as `weights of segmenter`."""
-    for prefix, words in (("packages.", ""), ("sha256.", "weights of "), ("machine.", ""), ("perception.", "")):
+    for prefix, words in (
+        ("packages.", ""),
+        ("sha256.", "weights of "),
+        ("machine.", ""),
+        ("perception.", ""),
+    ):
         if prefix in key:
             key = words + key.split(prefix, 1)[1] + (" on" if prefix == "perception." else "")
     return key.replace("_", " ").replace(".", " ")
@@ -109,7 +115,14 @@ def errors(results: Results) -> list[Block]:
         Column("error", "Error", word=True),
     ]
     lines = [
-        Row([Cell(f.label), Cell(labels.method(r["method"])), Cell(r["episode_id"]), Cell(str(r.get("error", "")))])
+        Row(
+            [
+                Cell(f.label),
+                Cell(labels.method(r["method"])),
+                Cell(r["episode_id"]),
+                Cell(str(r.get("error", ""))),
+            ]
+        )
         for f in results.folders
         for r in f.rows
         if r["status"] != "ok"

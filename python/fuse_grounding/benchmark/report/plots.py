@@ -131,7 +131,9 @@ def entropy(part: Part) -> Figure:
         for k, made in enumerate(steps[arm.label], 1):
             values = [d["entropy"] for d in made if d["entropy"] is not None]
             if values:
-                low, centre, high = quantiles(values, n=4, method="inclusive") if len(values) > 1 else values * 3
+                low, centre, high = (
+                    quantiles(values, n=4, method="inclusive") if len(values) > 1 else values * 3
+                )
                 middle.append((float(k), centre))
                 band.append((float(k), low, high))
         spread.append((band, style[arm.label]))

@@ -86,7 +86,7 @@ def metric_column(metric: Metric) -> Column:
     percent = metric.unit in _PERCENT
     unit = "%" if percent else {"actions and seed motions": "actions"}.get(metric.unit, metric.unit)
     better = "" if metric.better == "neither" else metric.better
-    digits = 1 if percent else 2
+    digits = 1 if percent else 3 if unit == "m" else 2
     return Column(metric.name, metric.title, unit, digits, 100.0 if percent else 1.0, better)
 
 
@@ -155,5 +155,7 @@ def _notes(part: Part, found: Mapping[str, Summary], shown: list[str]) -> list[s
         lacking = [f"{plots.name(a)} {n}" for a, n in counts if n < len(a.rows)]
         if lacking:
             fewer.setdefault(", ".join(lacking), []).append(known[name].title)
-    notes += [f"{', '.join(titles)}: of the episodes that have a value ({who})." for who, titles in fewer.items()]
+    notes += [
+        f"{', '.join(titles)}: of the episodes that have a value ({who})." for who, titles in fewer.items()
+    ]
     return notes

@@ -144,7 +144,9 @@ class Plot:
             self._taken.append((x0 - 2, y0 - 2, x1 + 2, y0 + 2))
             self._taken.append((x1 - 2, min(y0, y1) - 2, x1 + 2, max(y0, y1) + 2))
 
-    def word(self, x: float, y: float, words: str, dx: float = 0, dy: float = 0, anchor: str = "middle") -> None:
+    def word(
+        self, x: float, y: float, words: str, dx: float = 0, dy: float = 0, anchor: str = "middle"
+    ) -> None:
         """Small words at a value, moved by pixels."""
         px, py = self.at(x, y)
         self._over.append(_text(px + dx, py + dy, words, anchor, "small"))

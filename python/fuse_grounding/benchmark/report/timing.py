@@ -65,7 +65,9 @@ def runtime(part: Part) -> Table:
         "finished; in brackets bootstrap 95 % intervals."
     )
     notes = [paper.WARNING, *_concurrent(part.arms)]
-    return Table(f"{part.set_name}_{part.name}_runtime", "Runtime and speed-up", caption, columns, lines, notes)
+    return Table(
+        f"{part.set_name}_{part.name}_runtime", "Runtime and speed-up", caption, columns, lines, notes
+    )
 
 
 def _speedup(slow: Arm | None, arm: Arm) -> Cell:
@@ -133,7 +135,9 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
         "loading and without waiting for hosted models."
     )
     title = "Latency by component"
-    return Table(f"{part.set_name}_{part.name}_latency", title, caption, columns, lines, _concurrent(part.arms))
+    return Table(
+        f"{part.set_name}_{part.name}_latency", title, caption, columns, lines, _concurrent(part.arms)
+    )
 
 
 def _beside_paper(part: Part, arm: Arm, profile: Latency) -> Table:
