@@ -5,11 +5,12 @@ from __future__ import annotations
 from fuse_grounding import knowledge, mapping, splat
 from fuse_grounding.benchmark.methods import resolve
 from fuse_grounding.benchmark.provenance import provenance
-from fuse_grounding.config import Config, RegistrationConfig
+from fuse_grounding.config import Config, EncoderConfig, RegistrationConfig, SegmenterConfig
 from fuse_grounding.environment import render_device
 from fuse_grounding.mapping import GaussianMap, PointRegistrar
 from fuse_grounding.parts import Parts, Spatial
-from fuse_grounding.perception.doors import open_encoder, open_segmenter, settled
+from fuse_grounding.perception.doors import Opened, open_encoder, open_segmenter, settled
+from fuse_grounding.perception.protocol import Segmenter, TextEncoder
 from fuse_grounding.planning.amortized import planner_files
 from fuse_grounding.planning.explicit import evidence_maps
 from fuse_grounding.registration import ColmapRegistrar, PosedRegistrar
@@ -22,11 +23,35 @@ def make_registrar(config: RegistrationConfig) -> PointRegistrar:
     return ColmapRegistrar(profile=config.profile, on_failure=config.on_failure)
 
 
-def assemble(config: Config) -> tuple[Parts, Config]:
+class Shelf:
+    """Opens each segmenter and encoder once, for several agents of one process."""
+
+    def __init__(self) -> None:
+        self._segmenters: dict[str, Opened[Segmenter]] = {}
+        self._encoders: dict[str, Opened[TextEncoder]] = {}
+
+    def segmenter(self, config: SegmenterConfig) -> Opened[Segmenter]:
+        """The configured segmenter. Raises InputError."""
+        key = config.model_dump_json()
+        if key not in self._segmenters:
+            self._segmenters[key] = open_segmenter(config)
+        return self._segmenters[key]
+
+    def encoder(self, config: EncoderConfig) -> Opened[TextEncoder]:
+        """The configured encoder. Raises InputError."""
+        key = config.model_dump_json()
+        if key not in self._encoders:
+            self._encoders[key] = open_encoder(config)
+        return self._encoders[key]
+
+
+def assemble(config: Config, shelf: Shelf | None = None) -> tuple[Parts, Config]:
     """All parts of an agent, with the configuration as its method runs it.
 
-    Raises InputError for unknown names and missing or broken weights.
+    Agents that are given the same `shelf` share networks. Raises InputError for unknown names and missing or
+    broken weights.
     """
+    shelf = shelf or Shelf()
     method, config = resolve(config)
     knowledge.make(config.knowledge)
     # What cannot run says so before anything is loaded.
@@ -43,8 +68,8 @@ def assemble(config: Config) -> tuple[Parts, Config]:
         announcements.append(
             "encoder: no weights of `embedded` are there; labels are compared by letters (`lexical`)"
         )
-    encoder = open_encoder(config.encoder)
-    segmenter = open_segmenter(config.segmenter)
+    encoder = shelf.encoder(config.encoder)
+    segmenter = shelf.segmenter(config.segmenter)
     planner = planner_files(config) if plans else None
 
     # Taken once: what the record names is what every map of the run is trained on.
@@ -73,6 +98,7 @@ def assemble(config: Config) -> tuple[Parts, Config]:
             encoder=encoder.files,
             planner=() if planner is None else (planner.planner,),
             planner_encoder=() if planner is None else planner.encoder,
+            method=() if method.source is None else (method.source,),
         ),
         announcements=announcements,
     )

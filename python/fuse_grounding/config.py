@@ -292,7 +292,7 @@ class Config(Section):
     """All settings of an agent."""
 
     method: str = "fuse"
-    """Policy with its stopping; `fuse_grounding.benchmark.methods` lists them."""
+    """What searches; `fuse_grounding.benchmark.methods` lists them. `package.module:factory` is yours."""
     camera: CameraConfig = CameraConfig()
     budget: BudgetConfig = BudgetConfig()
     gate: GateConfig = GateConfig()

@@ -24,10 +24,14 @@ Timings = dict[str, float]
 
 
 class Stopwatch:
-    """Seconds by stage: `with clock("segment"): ...`. Stages add up; a nested stage is not counted twice."""
+    """Seconds by stage: `with clock("segment"): ...`. Stages add up; a nested stage is not counted twice.
+
+    `calls` counts how often each stage was entered, from the beginning on.
+    """
 
     def __init__(self) -> None:
         self.seconds: Timings = {}
+        self.calls: dict[str, int] = {}
         self._inner: list[float] = []
 
     @contextmanager
@@ -43,6 +47,7 @@ class Stopwatch:
             if self._inner:
                 self._inner[-1] += elapsed
             self.seconds[stage] = self.seconds.get(stage, 0.0) + own
+            self.calls[stage] = self.calls.get(stage, 0) + 1
 
     def take(self) -> Timings:
         """What was measured since the last call, rounded to microseconds."""
@@ -188,6 +193,8 @@ class ResultEntry(Entry):
     metrics: dict[str, bool | int | float | None] | None = None
     """Against the ground truth, where it is known."""
     timings: Timings
+    calls: dict[str, int] = Field(default_factory=dict)
+    """How often each stage of `timings` was entered."""
     wall_seconds: float
 
 

@@ -48,10 +48,19 @@ class RunFolder:
     """Writes `episode.json`, `steps/NN/*.png`, `overview.png`, `grounding.png`, `scene.ply`."""
 
     def __init__(
-        self, folder: Path, episode_id: str | None = None, scene: str | None = None, seed: int | None = None
+        self,
+        folder: Path,
+        episode_id: str | None = None,
+        scene: str | None = None,
+        seed: int | None = None,
+        *,
+        map_too: bool = True,
     ):
-        """The episode's name, scene and seed go into the record, where they are known."""
-        self.folder = folder
+        """The episode's name, scene and seed go into the record, where they are known.
+
+        Without `map_too`, `scene.ply` is left out.
+        """
+        self.folder, self._map_too = folder, map_too
         self._episode = (episode_id, scene, seed)
 
     def started(self, session: Session) -> None:
@@ -88,7 +97,7 @@ class RunFolder:
             self.folder / "grounding.png",
             visualize.mask_over(grounded.rgb, grounded.mask, _caption(grounded)),
         )
-        if session.spatial is not None:
+        if session.spatial is not None and self._map_too:
             session.spatial.map.save(self.folder / "scene.ply")
         self._write_record(session)
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,15 @@ from typing import Any
 import pytest
 
 from fuse_grounding.benchmark import identity
-from fuse_grounding.benchmark.store import HEADER, RESULTS, ResultStore
-from fuse_grounding.cli.bench import summary
+from fuse_grounding.benchmark.store import HEADER, RESULTS, ResultStore, load
+from fuse_grounding.cli.bench_console import summary
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
-from fuse_grounding.errors import InputError
+from fuse_grounding.errors import FuseError, InputError
 
 PROVENANCE: dict[str, Any] = {
     "sha256": {"segmenter": "5e" * 32},
-    "packages": {"numpy": "2.0.0"},
+    "packages": {"numpy": "2.0.0", "onnxruntime": "1.2.3"},
     "simd_level": "avx2",
     "device": "cpu (avx2)",
     "render_device": "cpu (avx2)",
@@ -31,38 +32,90 @@ def open_store(
     resume: bool = True,
     config: Config | None = None,
     episodes: Sequence[Episode] = EPISODES,
+    methods: Sequence[str] = ("static", "random"),
     **provenance: Any,
 ) -> ResultStore:
     whence = {**PROVENANCE, **provenance}
-    return ResultStore(folder, identity.identity(config or Config(), episodes, whence), whence, resume)
+    decided = identity.identity(config or Config(), episodes, dict.fromkeys(methods, whence))
+    return ResultStore(folder, decided, whence, resume)
 
 
 def row(method: str, episode: str, status: str = "ok", **more: Any) -> dict[str, Any]:
-    return {"method": method, "episode_id": episode, "status": status, **more}
+    index = [e.episode_id for e in EPISODES].index(episode)
+    return {"index": index, "method": method, "episode_id": episode, "status": status, **more}
+
+
+def lines(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
 
 
 def test_a_killed_benchmark_resumes_without_loss_or_repetition(tmp_path: Path):
     folder = tmp_path / "b"
-    store = open_store(folder, resume=False)
-    store.append(row("static", "a", iou=0.5))
-    store.append(row("random", "a", status="failed", error="broke"))
+    with open_store(folder, resume=False) as first:
+        first.append(row("static", "b", iou=0.5))
+        first.append(row("random", "a", status="error", error="broke"))
     with (folder / RESULTS).open("a") as file:
         file.write('{"method": "static", "episode_id": "b", "sta')  # killed while writing
-    again = open_store(folder, commit="another", config=Config().with_(method="static"))
-    assert again.done("static", "a")
-    assert not again.done("static", "b")
-    assert not again.done("random", "a")  # failed runs are tried again
-    again.append(row("static", "b", iou=0.25))
-    lines = [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
-    assert [(r["method"], r["episode_id"]) for r in lines] == [("static", "a"), ("static", "b")]
+    with open_store(folder, commit="another", config=Config().with_(method="static")) as again:
+        assert again.announcements == [
+            f"{folder / RESULTS}: the last line (3) was not written to its end; "
+            "it is left out, and its episode runs again"
+        ]
+        assert again.done("static", "b")
+        assert not again.done("static", "a")
+        assert not again.done("random", "a")  # tried again, and known until then
+        assert [r["status"] for r in again.rows] == ["error", "ok"]
+        again.append(row("random", "a", iou=0.1))
+        again.append(row("static", "a", iou=0.25))
+        assert len(lines(folder)) == 4
+        again.finish()
+    found = lines(folder)
+    assert [(r["method"], r["episode_id"]) for r in found] == [
+        ("random", "a"),
+        ("static", "a"),
+        ("static", "b"),
+    ]
+    assert [r["commit"] for r in found] == ["another", "another", "c0ffee"]
+    assert load(folder)[1] == found
+    assert [run["commit"] for run in load(folder)[0]["earlier"]] == ["c0ffee"]
+
+
+def test_a_folder_is_written_by_one_process_at_a_time(tmp_path: Path):
+    with (
+        open_store(tmp_path / "b"),
+        pytest.raises(InputError, match="another benchmark is writing to"),
+    ):
+        open_store(tmp_path / "b")
+    open_store(tmp_path / "b").close()
+
+
+def test_a_full_disk_leaves_whole_lines(tmp_path: Path):
+    store = open_store(tmp_path / "b")
+    store.append(row("static", "a"))
+    before = (tmp_path / "b" / RESULTS).read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 20, hard))
+    try:
+        with pytest.raises(FuseError, match=r"File too large; the 1 results in it are whole: .* --resume"):
+            store.append(row("static", "b"))
+        with pytest.raises(InputError, match="cannot be written: File too large"):
+            open_store(tmp_path / "c")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / "b" / RESULTS).read_bytes() == before
+    store.append(row("static", "b"))
+    assert len(lines(tmp_path / "b")) == 2
+    assert list((tmp_path / "c").iterdir()) == []
 
 
 def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "b"
-    open_store(folder, resume=False).append(row("static", "a"))
+    with open_store(folder, resume=False) as store:
+        store.append(row("static", "a"))
     before = (folder / HEADER).read_text(), (folder / RESULTS).read_text()
     with pytest.raises(InputError, match="exists and is not empty; use --resume"):
         open_store(folder, resume=False)
+    swapped = [Episode('{"episode_id": "b", "seed": 2}'), Episode('{"episode_id": "a", "seed": 1}')]
     others: list[tuple[dict[str, Any], str]] = [
         (
             {"config": Config().with_(gate={"eta": 0.7})},
@@ -76,13 +129,19 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
             {"episodes": [EPISODES[0], Episode('{"episode_id": "b", "seed": 3}')]},
             r"over other episodes \(`episodes\.b` is \w{12} there and \w{12} here\)",
         ),
+        ({"episodes": swapped}, r"over other episodes \(episode 0 is `a` there and `b` here\)"),
         (
             {"sha256": {"segmenter": "77" * 32}},
-            r"with other weights \(`weights\.segmenter` is 5e5e5e5e5e5e there and 777777777777 here\)",
+            r"with other weights \(`weights\.segmenter` is 5e5e5e5e5e5e there and 777777777777 here, "
+            r"method `static`\)",
         ),
         (
-            {"packages": {"numpy": "2.1.0"}},
-            r"with other packages \(`packages\.numpy` is '2\.0\.0' .*\)",
+            {"packages": {"numpy": "2.1.0", "onnxruntime": "1.2.3"}},
+            r"with other packages \(`packages\.numpy` is '2\.0' there and '2\.1' here, .*\)",
+        ),
+        (
+            {"packages": {"numpy": "2.0.0", "onnxruntime": "1.2.4"}},
+            r"with other packages \(`packages\.onnxruntime` is '1\.2\.3' .*\)",
         ),
         (
             {"simd_level": "avx512"},
@@ -105,20 +164,48 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
         with pytest.raises(InputError, match=rf"made {how}; results of two runs must not be mixed"):
             open_store(folder, **other)
     with monkeypatch.context() as changed:
-        changed.setattr(identity, "code_digest", lambda package: "0" * 64)
-        with pytest.raises(InputError, match=r"made by another version of the code \(`code` is \w{12} there"):
+        changed.setattr(identity, "RESULTS_VERSION", 1000)
+        with pytest.raises(
+            InputError, match=r"by another version of the code \(`results_version` is \d+ there and 1000 here"
+        ):
             open_store(folder)
     assert ((folder / HEADER).read_text(), (folder / RESULTS).read_text()) == before
-    for text in ('{"schema_version": 2, "identity": 3}', '{"schema_version": 2}', "[]", "{"):
-        (folder / HEADER).write_text(text)
+    for text in ('{"identity": 3}', '{"identity": {"code": 1}}', "[]", "{"):
+        whole = text.replace("{", '{"schema_version": 3, "provenance": {}, ', 1) if len(text) > 2 else text
+        (folder / HEADER).write_text(whole)
         with pytest.raises(InputError, match=r"missing or broken|describes its runs otherwise"):
             open_store(folder)
-    (folder / HEADER).write_text('{"schema_version": 1, "identity": {}}')
-    with pytest.raises(InputError, match="schema_version 1, expected 2"):
+        with pytest.raises(InputError, match=r"missing or broken|has identity_version None, expected"):
+            load(folder)
+    (folder / HEADER).write_text('{"schema_version": 1, "identity": {}, "provenance": {}}')
+    with pytest.raises(InputError, match="schema_version 1, expected 3"):
         open_store(folder)
     (folder / HEADER).unlink()
     with pytest.raises(InputError, match=r"bench\.json is missing or broken"):
         open_store(folder)
+
+
+def test_repairs_of_packages_methods_and_episodes_may_be_added(tmp_path: Path):
+    with open_store(tmp_path / "b", resume=False, methods=["static"]) as store:
+        store.append(row("static", "a"))
+    more = [*EPISODES, Episode('{"episode_id": "c", "seed": 3}')]
+    repaired = {**PROVENANCE["packages"], "numpy": "2.0.7"}
+    planner = {**PROVENANCE["sha256"], "planner": "11" * 32}
+    with open_store(tmp_path / "b", episodes=more, methods=["random"], packages=repaired, sha256=planner):
+        pass
+    with open_store(tmp_path / "b", episodes=more, methods=["static"]) as store:
+        assert store.done("static", "a")
+        assert set(load(tmp_path / "b")[0]["identity"]["methods"]) == {"static", "random"}
+
+
+def test_a_stamp_names_all_that_decides_a_row():
+    one = identity.identity(Config(), EPISODES, {"static": PROVENANCE, "random": PROVENANCE})
+    assert identity.stamp(one, "static", "a") != identity.stamp(one, "random", "a")
+    assert identity.stamp(one, "static", "a") != identity.stamp(one, "static", "b")
+    alone = identity.identity(Config(), EPISODES[:1], {"static": PROVENANCE})
+    assert identity.stamp(alone, "static", "a") == identity.stamp(one, "static", "a")
+    other = identity.identity(Config().with_(gate={"eta": 0.5}), EPISODES, {"static": PROVENANCE})
+    assert identity.stamp(other, "static", "a") != identity.stamp(one, "static", "a")
 
 
 def settings_of(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -133,58 +220,69 @@ def settings_of(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def test_every_setting_is_identity_unless_it_is_listed_with_its_reason():
     known = set(settings_of(Config().to_dict()))
     assert set(identity.RUNTIME_SETTINGS) < known
-    counted = identity.identity(Config(), [], PROVENANCE)["config"]
+    counted = identity.identity(Config(), [], {})["config"]
     assert set(settings_of(counted)) == known - set(identity.RUNTIME_SETTINGS)
     assert all(identity.RUNTIME_SETTINGS.values())
-
-
-def test_the_code_that_can_run_in_an_episode_is_identity(tmp_path: Path):
-    for name in ("agent.py", "planning/explicit.py", "cli/app.py", "training/loss.py", "_core.abi3.so"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("one")
-    first = identity.code_digest(tmp_path)
-    for name in ("cli/app.py", "training/loss.py"):
-        (tmp_path / name).write_text("two")
-    assert identity.code_digest(tmp_path) == first
-    seen = {first}
-    for name in ("agent.py", "planning/explicit.py", "_core.abi3.so"):
-        (tmp_path / name).write_text("two")
-        seen.add(identity.code_digest(tmp_path))
-    assert len(seen) == 4
 
 
 def test_resuming_a_folder_without_results_starts_afresh(tmp_path: Path):
     (tmp_path / "note").write_text("x")
     store = open_store(tmp_path)
     store.append(row("static", "a"))
-    assert len((tmp_path / RESULTS).read_text().splitlines()) == 1
+    assert len(lines(tmp_path)) == 1
 
 
-def test_lines_changed_by_hand_are_not_believed(tmp_path: Path):
-    open_store(tmp_path).append(row("static", "a"))
-    whole = (tmp_path / RESULTS).read_text()
-    for added, message in [
-        ("not json\n", "not a result"),
-        (json.dumps(row("static", "b")) + "\n", "not a result"),  # not stamped
-        (json.dumps(row("static", "b", identity="0" * 16)) + "\n", "a result of another run"),
+def test_a_broken_line_is_repaired_at_the_end_and_reported_elsewhere(tmp_path: Path):
+    with open_store(tmp_path) as store:
+        store.append(row("static", "a"))
+        store.append(row("static", "b"))
+    one, two, _ = (tmp_path / RESULTS).read_bytes().split(b"\n")
+    stamped = json.loads(one)
+    unknown = json.dumps({**stamped, "episode_id": "z"}).encode()
+    swapped = json.dumps({**stamped, "identity": "0" * 16}).encode()
+    for content, message in [
+        (one[:-9] + b"\n" + two + b"\n", "line 1: not a result"),
+        (one + b"\n\0\0\n" + two + b"\n", "line 2: not a result"),
+        (one + b"\n" + json.dumps(row("static", "b")).encode() + b"\n", "line 2: not a result"),  # no stamp
+        (one + b"\n7\n", "line 2: not a result"),
+        (one + b"\n" + unknown + b"\n", "line 2: `static` on `z` is no part of this benchmark"),
+        (one + b"\n" + swapped + b"\n", "line 2: a result of another run"),
     ]:
-        (tmp_path / RESULTS).write_text(whole + added)
-        with pytest.raises(InputError, match=rf"results\.jsonl, line 2: {message}"):
-            open_store(tmp_path)
+        (tmp_path / RESULTS).write_bytes(content)
+        for read in (lambda: open_store(tmp_path), lambda: load(tmp_path)):
+            with pytest.raises(InputError, match=rf"results\.jsonl, {message}"):
+                read()
+        assert (tmp_path / RESULTS).read_bytes() == content
+    for torn, how in [
+        (two, "was not written to its end"),
+        (two[:5] + b"\n", "is broken"),
+        (b"\xff\0\n", "is broken"),
+    ]:
+        (tmp_path / RESULTS).write_bytes(one + b"\n" + torn)
+        with open_store(tmp_path) as store:
+            assert [r["episode_id"] for r in store.rows] == ["a"]
+            assert f"the last line (2) {how}" in store.announcements[0]
+        assert (tmp_path / RESULTS).read_bytes() == one + b"\n"
 
 
-def test_the_summary_is_of_runs_that_went_through():
+def test_the_summary_counts_errors_as_failures():
     timings = {"segment": 1.0, "refine": 3.0}
     common: dict[str, Any] = {"online_actions": 4, "total_steps": 8, "wall_seconds": 5.0, "timings": timings}
     rows = [
         row("explicit", "a", success=True, iou=0.9, **common),
         row("explicit", "b", success=False, iou=0.1, **common),
-        row("explicit", "c", status="failed", error="broke"),
+        row("explicit", "b", status="error", error="broke", success=False, iou=0.0),
         row("static", "a", success=True, iou=1.0, **common),
     ]
     s = summary("explicit", rows)
-    assert (s["episodes"], s["failed"], s["success"]) == (2, 1, 0.5)
-    assert s["iou"] == pytest.approx(0.5)
+    assert (s["episodes"], s["errors"]) == (3, 1)
+    assert s["success"] == pytest.approx(1 / 3)  # an error is a failure
+    assert s["iou"] == pytest.approx(1 / 3)
+    assert s["online_actions"] == 4
     assert s["shares"] == {"refine": 0.75, "segment": 0.25}
     assert list(s["shares"]) == ["refine", "segment"]
-    assert summary("random", rows) == {"method": "random", "episodes": 0, "failed": 0}
+    assert summary("random", [row("random", "a", "error", success=False, iou=0.0)]) == {
+        "method": "random",
+        "episodes": 1,
+        "errors": 1,
+    }

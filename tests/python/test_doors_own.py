@@ -71,7 +71,7 @@ def test_other_weights_or_other_code_are_another_benchmark(here: Path):
     def made(**settings: Any) -> dict[str, Any]:
         given = {"name": "reddest:Reddest", "weights": "w", **settings}
         config = Config().with_(method="static", segmenter=given)
-        return identity(config, [], Agent(config).provenance)
+        return identity(config, [], {"static": Agent(config).provenance})
 
     first = made()
     assert difference(first, made()) is None

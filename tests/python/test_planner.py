@@ -116,7 +116,7 @@ def test_the_policy_takes_the_best_feasible_action(encoder: Path, tmp_path: Path
     assert decision.values is not None
     assert np.flatnonzero(np.isnan(decision.values)).tolist() == [10, 11, 12, 13, 14]
     np.testing.assert_allclose(decision.values[:10], values[:10])
-    assert "plan" in clock.seconds
+    assert "predict" in clock.seconds
 
 
 def test_the_gate_uses_it(encoder: Path, tmp_path: Path):

@@ -1,19 +1,26 @@
-"""The methods: policy, whether it registers and maps, what it knows. One line each."""
+"""The methods, a line each: policy, segmenter, knowledge, registration and map (or none), stopping.
+
+A method of a user's own is named `package.module:factory` and needs no change here (docs/benchmark.md).
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+from fuse_grounding import user_code
 from fuse_grounding.config import Config
-from fuse_grounding.errors import InputError
+from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.planning.amortized import Amortized, load_planner
 from fuse_grounding.planning.explicit import Explicit
 from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
 from fuse_grounding.planning.protocol import Policy
 from fuse_grounding.planning.random_walk import RandomWalk
-from fuse_grounding.registry import Registry
+from fuse_grounding.registry import Registry, unknown
 
 
 @dataclass(frozen=True)
@@ -21,31 +28,39 @@ class Method:
     """A named way of searching.
 
     `policy` makes one from the configuration and the episode's index; `maps` says whether it takes
-    seed views, registers and maps; `stopping` is `patience` (with the budget) or `one view`;
-    `knowledge` replaces the configured source where the method is defined by it.
+    seed views, registers and maps; `stopping` is `patience` (with the budget) or `one view`, which is the
+    policy's doing. `segmenter`, `knowledge`, `registration` and `patience` replace what is configured
+    where the method is defined by them. `source` is the file of a user's own.
     """
 
     name: str
     policy: Callable[[Config, int], Policy]
-    maps: bool
-    stopping: str
-    summary: str
+    maps: bool = False
+    stopping: str = "patience"
+    summary: str = ""
+    segmenter: str | None = None
     knowledge: str | None = None
+    registration: str | None = None
+    patience: int | None = None
+    source: Path | None = None
+
+    def settle(self, config: Config) -> Config:
+        """`config` as this method runs it. Raises InputError for a setting that does not exist."""
+        fixed: dict[str, dict[str, Any]] = {
+            "segmenter": {"name": self.segmenter},
+            "knowledge": {"source": self.knowledge},
+            "registration": {"backend": self.registration},
+            "stopping": {"patience": self.patience},
+        }
+        changes = {k: v for k, v in fixed.items() if None not in v.values()}
+        return config.with_(**changes) if changes else config
 
 
 METHODS: Registry[Method] = Registry("method")
 
 
-def _add(
-    name: str,
-    policy: Callable[[Config, int], Policy],
-    *,
-    maps: bool,
-    stopping: str = "patience",
-    summary: str,
-    knowledge: str | None = None,
-) -> None:
-    METHODS.add(name, Method(name, policy, maps, stopping, summary, knowledge))
+def _add(name: str, policy: Callable[[Config, int], Policy], **parts: Any) -> None:
+    METHODS.add(name, Method(name, policy, **parts))
 
 
 def _fuse(config: Config, episode: int) -> Policy:
@@ -111,9 +126,41 @@ _add(
 )
 
 
+def find(name: str) -> Method:
+    """The method of that name, or what the factory `package.module:factory` makes.
+
+    Raises InputError that suggests a near name, and for a factory that is not there or makes no method.
+    """
+    if ":" in name:
+        return _own(name)
+    if name not in METHODS.names():
+        raise InputError(f"{unknown('method', name, METHODS.names())}, or package.module:factory")
+    return METHODS.get(name)
+
+
 def resolve(config: Config) -> tuple[Method, Config]:
     """The configured method, and the configuration as that method runs it. Raises InputError."""
-    method = METHODS.get(config.method)
-    if method.knowledge is not None:
-        config = config.with_(knowledge={"source": method.knowledge})
-    return method, config
+    method = find(config.method)
+    return method, method.settle(config)
+
+
+def _own(reference: str) -> Method:
+    factory = user_code.find("method", reference, "factory")
+    who = f"method `{reference}`"
+    if not callable(factory):
+        raise InputError(f"{who} is a {type(factory).__name__}, expected a function that makes a Method")
+    try:
+        made = factory()
+    except FuseError:
+        raise
+    except Exception as error:
+        raise InputError(f"{who} cannot be made: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Method):
+        raise InputError(
+            f"{who} made a {type(made).__name__}, expected a fuse_grounding.benchmark.methods.Method"
+        )
+    if not re.fullmatch(r"[A-Za-z0-9_.-]+", made.name):
+        raise InputError(f"{who} calls itself `{made.name}`, expected letters, digits, `_`, `-` and `.`")
+    if made.name in METHODS.names():
+        raise InputError(f"{who} calls itself `{made.name}`, which is a method of FUSE's own")
+    return replace(made, source=user_code.source_file(factory))

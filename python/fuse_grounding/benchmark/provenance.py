@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import os
 import platform
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,6 +34,28 @@ def _git() -> dict[str, Any]:
     except (OSError, subprocess.SubprocessError):
         return {}
     return {"commit": commit, "dirty": bool(status)}
+
+
+@cache
+def code_digest() -> str:
+    """One digest of the package's Python files and its compiled module, to tell what made a result."""
+    package = Path(__file__).parents[1]
+    total = hashlib.sha256()
+    for path in sorted((*package.rglob("*.py"), *package.glob("_core*.so"), *package.glob("_core*.pyd"))):
+        total.update(f"{path.relative_to(package).as_posix()} {_digest(path)}\n".encode())
+    return total.hexdigest()
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores and memory, without a name: what wall times depend on."""
+    model = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    except (OSError, ValueError, StopIteration):  # not Linux, or a processor that has no such line
+        return {"processor": model, "cores": os.cpu_count()}
+    return {"processor": model, "cores": os.cpu_count(), "memory_gib": round(memory, 1)}
 
 
 def sha256(files: Sequence[Path]) -> str:

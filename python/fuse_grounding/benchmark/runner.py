@@ -1,41 +1,68 @@
-"""Runs methods over episodes, one after the other, and judges each result against the ground truth."""
+"""One episode by one method: runs it, judges it against the ground truth, and makes a row of it.
+
+An error of any kind is that episode's result, not the benchmark's end: `status` says `error`, and `success`
+and `iou` count as failure.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from fuse_grounding.agent import Agent
-from fuse_grounding.benchmark.metrics import evaluate
-from fuse_grounding.benchmark.store import ResultStore
-from fuse_grounding.environment import TabletopEnvironment
-from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.benchmark.trace import Trace
+from fuse_grounding.environment import Episode, TabletopEnvironment
+from fuse_grounding.errors import UnusableError
 from fuse_grounding.grounding import Grounded
+from fuse_grounding.parts import Watcher
 
 Row = dict[str, Any]
 
+_FRAMES = 6
+"""How many calls of a traceback are kept, the innermost ones."""
 
-def run_benchmark(
-    episodes: Sequence[Any], agents: Mapping[str, Agent], store: ResultStore, tell: Callable[[Row], None]
-) -> None:
-    """One row for each episode and method that the store does not have; `tell` hears each new one.
 
-    `agents` are the methods' by name.
+def run_one(
+    agent: Agent,
+    method: str,
+    episode: Episode,
+    index: int,
+    watchers: Sequence[Watcher] = (),
+    concurrent: bool = False,
+) -> Row:
+    """One episode by one method. `index` is the episode's place in its set: it seeds `random`.
 
-    An episode that fails becomes a row with `status` "failed"; wrong input stops the benchmark.
+    `concurrent` says of the row that others ran beside it, so that its times are no measurement. Raises
+    UnusableError, which concerns every episode; any other error is in the row.
     """
-    for index, episode in enumerate(episodes):
-        for name, agent in agents.items():
-            if not store.done(name, episode.episode_id):
-                row = run_one(agent, name, episode, index)
-                store.append(row)
-                tell(row)
+    row = {**head(method, episode, index), "concurrent": concurrent}
+    began = time.perf_counter()
+    try:
+        settings = agent.config
+        environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
+        environment.true_targets()  # counts pixels where an episode brings no statistics
+        began = time.perf_counter()
+        trace = Trace(settings)
+        watching = (trace, *watchers)
+        grounded = agent.run(environment, episode.query, episode_index=index, watchers=watching)
+        judged = trace.judge(grounded, environment, agent.segmenter)
+        assert grounded.record.result is not None
+        grounded.record.result.metrics = judged.metrics
+    except (KeyboardInterrupt, UnusableError):
+        raise
+    except BaseException as error:  # a panic of native code is no Exception
+        seconds = round(time.perf_counter() - began, 6)
+        return {**row, **failure(error), "wall_seconds": seconds}
+    return {**row, "status": "ok", **judged.metrics, **_outcome(grounded), "trace": judged.step_rows()}
 
 
-def run_one(agent: Agent, method: str, episode: Any, index: int) -> Row:
-    """One episode by one method. `index` is the episode's place in its set: it seeds `random`."""
-    row: Row = {
+def head(method: str, episode: Episode, index: int) -> Row:
+    """What a row says of its episode."""
+    return {
+        "index": index,
         "method": method,
         "episode_id": episode.episode_id,
         "scene": episode.scene_id,
@@ -43,23 +70,16 @@ def run_one(agent: Agent, method: str, episode: Any, index: int) -> Row:
         "verb": episode.verb,
         "seed": episode.seed,
     }
-    began = time.perf_counter()
-    try:
-        settings = agent.config
-        environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
-        grounded = agent.run(environment, episode.query, episode_index=index)
-        metrics = evaluate(grounded, environment, agent.segmenter, agent.config)
-    except InputError:
-        raise
-    except (FuseError, RuntimeError) as error:
-        seconds = round(time.perf_counter() - began, 3)
-        return {
-            **row,
-            "status": "failed",
-            "error": f"{type(error).__name__}: {error}",
-            "wall_seconds": seconds,
-        }
-    return {**row, "status": "ok", **metrics, **_outcome(grounded)}
+
+
+def failure(error: BaseException | str) -> Row:
+    """What a row says of an error: message, the innermost calls, and that it counts as a failure."""
+    calls: list[str] = []
+    if isinstance(error, BaseException):
+        frames = traceback.extract_tb(error.__traceback__)[-_FRAMES:]
+        calls = [f"{Path(f.filename).name}:{f.lineno} in {f.name}" for f in frames]
+        error = f"{type(error).__name__}: {error}"
+    return {"status": "error", "error": error, "traceback": calls, "success": False, "iou": 0.0}
 
 
 def _outcome(grounded: Grounded) -> Row:
@@ -74,6 +94,7 @@ def _outcome(grounded: Grounded) -> Row:
         "candidates_unknown": [c.label for c in record.candidates_unknown],
         "candidates_replaced": {r.proposed: r.label for r in record.candidates_replaced},
         "knowledge": record.knowledge,
+        "announcements": record.announcements,
         "online_actions": result.online_actions,
         "observations": result.observations,
         "seed_motions": result.seed_motions,
@@ -83,6 +104,8 @@ def _outcome(grounded: Grounded) -> Row:
         "registrations": result.registrations,
         "planner": result.planner,
         "gaussians": record.steps[-1].map.gaussians if record.steps[-1].map is not None else None,
+        "refinements": 0 if record.steps[-1].map is None else record.steps[-1].map.refinements,
+        "calls": result.calls,
         "timings": result.timings,
         "wall_seconds": result.wall_seconds,
     }

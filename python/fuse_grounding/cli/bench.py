@@ -2,33 +2,61 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
-from statistics import mean
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from fuse_grounding.agent import Agent
-from fuse_grounding.benchmark.identity import identity
+from fuse_grounding.benchmark import store, suites
+from fuse_grounding.benchmark.driver import Means, Outcome, Plan, run_benchmark
+from fuse_grounding.benchmark.latency import latency
 from fuse_grounding.benchmark.methods import METHODS
-from fuse_grounding.benchmark.runner import run_benchmark
-from fuse_grounding.benchmark.store import RESULTS, ResultStore
+from fuse_grounding.benchmark.processes import Processes
+from fuse_grounding.benchmark.runner import Row
+from fuse_grounding.cli.bench_console import Teller, latency_table, summary, summary_table
 from fuse_grounding.cli.console import print_json
 from fuse_grounding.cli.run import OpenVocabulary, Segmenter, Weights, configure
-from fuse_grounding.environment import load_episodes
+from fuse_grounding.config import Config
+from fuse_grounding.environment import Episode, load_episodes
 from fuse_grounding.errors import InputError
 
-Row = dict[str, Any]
+_EPISODES, _METHODS = "dev", "static,random,explicit"
 
 
 def command(
     out: Annotated[Path, typer.Option(help="New or empty folder, or one to --resume.")],
-    episodes: Annotated[str, typer.Option(help="Name of a shipped set, or a .json.gz file.")] = "dev",
-    methods: Annotated[str, typer.Option(help="Names, separated by commas.")] = "static,random,explicit",
+    episodes: Annotated[
+        str | None, typer.Option(help="Name of a shipped set, or a .json.gz file; default: dev.")
+    ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help="Names, or package.module:factory, separated by commas; default: static,random,explicit."
+        ),
+    ] = None,
+    suite: Annotated[
+        str | None, typer.Option(help=f"Parts by name instead of --methods: {', '.join(suites.SUITES)}.")
+    ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N episodes.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Worker processes; the results are the same.")
+    ] = None,
+    engine: Annotated[
+        str, typer.Option(help="local, or ray: a Ray cluster (RAY_ADDRESS; docs/benchmark.md).")
+    ] = "local",
     resume: Annotated[bool, typer.Option("--resume", help="Go on where --out stopped.")] = False,
+    timing: Annotated[
+        bool,
+        typer.Option(
+            "--timing",
+            help="Measure one episode at a time; print seconds by component, or those of an existing --out.",
+        ),
+    ] = False,
+    gallery: Annotated[
+        int, typer.Option(min=0, help="Pictures of the first N episodes, in OUT/gallery/METHOD/EPISODE.")
+    ] = 0,
     segmenter: Segmenter = None,
     weights: Weights = None,
     open_vocabulary: OpenVocabulary = None,
@@ -38,10 +66,12 @@ def command(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON only.")] = False,
 ) -> None:
-    """Run methods over a set of episodes, one after the other."""
-    names = [METHODS.get(name.strip()).name for name in methods.split(",") if name.strip()]
-    if not names:
-        raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
+    """Run methods over a set of episodes, or a suite of them; docs/benchmark.md."""
+    if timing and episodes is methods is suite is None and store.has_results(out):
+        values = _tables(store.load(out)[1], True, Teller(quiet=as_json))
+        if as_json:
+            print_json(values)
+        return
     settings = configure(
         config,
         overrides or [],
@@ -49,84 +79,89 @@ def command(
         segmenter__weights=weights,
         knowledge__open_vocabulary=open_vocabulary,
     )
-    chosen = load_episodes(episodes)[:limit]
+    means = _means(engine, jobs, timing, gallery)
+    if suite is not None and methods is not None:
+        raise InputError(f"--suite {suite} says which methods run; leave out --methods {methods}")
+    chosen = load_episodes(episodes or _EPISODES)[:limit]
     if not chosen:
         raise InputError(f"{episodes} has no episodes")
-    agents = {name: Agent(settings.with_(method=name)) for name in names}
-    provenance = agents[names[0]].provenance
-    store = ResultStore(out, identity(settings, chosen, provenance), provenance, resume)
-    console = Console(quiet=as_json, soft_wrap=True, highlight=False, markup=False)
-    total = len(chosen) * len(names)
-
-    def tell(row: Row) -> None:
-        console.print(f"{len(store.rows):4d}/{total}  {_line(row)}")
-
-    run_benchmark(chosen, agents, store, tell)
-    rows = [r for r in store.rows if r["method"] in names]
-    if as_json:
-        print_json([summary(name, rows) for name in names])
+    if suite is None:
+        parts = [_plan(out, settings, chosen, methods or _METHODS, gallery, resume)]
     else:
-        console.print(f"\nresults     {out / RESULTS}")
-        shown = Console()
-        shown.width = max(shown.width, 150)  # a log file is wide enough
-        shown.print(_table([summary(name, rows) for name in names]))
-    if any(r["status"] != "ok" for r in rows):
+        parts = suites.plans(suite, out, settings, chosen, gallery=gallery, resume=resume)
+    teller = Teller(quiet=as_json)
+    try:
+        if suite is None:
+            plan = _plan(out, settings, chosen, methods or _METHODS, gallery, resume)
+            ran = [(plan, run_benchmark(plan, means, teller))]
+            told: Any = _told(*ran[0], timing, teller)
+        else:
+            parts = suites.plans(suite, out, settings, chosen, gallery=gallery, resume=resume)
+            ran, told = [], {}
+            for plan, outcome in suites.run(parts, means, teller):
+                ran.append((plan, outcome))
+                told[plan.out.name] = _told(plan, outcome, timing, teller)
+    except KeyboardInterrupt:
+        teller.interrupted()
+        raise typer.Exit(130) from None
+    finally:
+        teller.close()
+    if as_json:
+        print_json(told)
+    if any(row["status"] != "ok" for _, outcome in ran for row in outcome.rows):
         raise typer.Exit(1)
 
 
-def _line(row: Row) -> str:
-    head = f"{row['episode_id']:<24} {row['method']:<14}"
-    if row["status"] != "ok":
-        return f"{head} failed: {row['error']}"
-    verdict = "success" if row["success"] else "-"
-    return (
-        f"{head} {verdict:<8} IoU {row['iou']:.3f}  {row['online_actions']:2d} actions  "
-        f"{row['wall_seconds']:.1f} s"
-    )
+def _plan(
+    out: Path, settings: Config, episodes: list[Episode], methods: str, gallery: int, resume: bool
+) -> Plan:
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    if not names:
+        raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
+    return Plan(out, settings, episodes, names, gallery=gallery, resume=resume)
 
 
-def summary(method: str, rows: list[Row]) -> Row:
-    """Means over the episodes that ran; `shares` is each stage's part of the measured time."""
-    mine = [r for r in rows if r["method"] == method]
-    ran = [r for r in mine if r["status"] == "ok"]
-    if not ran:
-        return {"method": method, "episodes": 0, "failed": len(mine)}
-    stages: dict[str, float] = {}
-    for row in ran:
-        for stage, seconds in row["timings"].items():
-            stages[stage] = stages.get(stage, 0.0) + seconds
-    spent = sum(stages.values()) or 1.0
-    return {
-        "method": method,
-        "episodes": len(ran),
-        "failed": len(mine) - len(ran),
-        "success": mean(float(r["success"]) for r in ran),
-        "iou": mean(r["iou"] for r in ran),
-        "online_actions": mean(r["online_actions"] for r in ran),
-        "total_steps": mean(r["total_steps"] for r in ran),
-        "seconds": mean(r["wall_seconds"] for r in ran),
-        "shares": {s: v / spent for s, v in sorted(stages.items(), key=lambda item: -item[1])},
-    }
-
-
-def _table(summaries: list[Row]) -> Table:
-    table = Table(
-        "method", "episodes", "success", "IoU", "actions", "steps", "seconds", "share by stage", box=None
-    )
-    for s in summaries:
-        if not s["episodes"]:
-            table.add_row(s["method"], f"0 ({s['failed']} failed)")
-            continue
-        shares = ", ".join(f"{stage} {share:.0%}" for stage, share in s["shares"].items() if share >= 0.005)
-        failed = f" ({s['failed']} failed)" if s["failed"] else ""
-        table.add_row(
-            s["method"],
-            f"{s['episodes']}{failed}",
-            f"{s['success']:.0%}",
-            f"{s['iou']:.3f}",
-            f"{s['online_actions']:.1f}",
-            f"{s['total_steps']:.1f}",
-            f"{s['seconds']:.1f}",
-            shares,
+def _means(engine: str, jobs: int | None, timing: bool, gallery: int) -> Means:
+    if timing and (engine != "local" or (jobs or 1) > 1):
+        found = f"--engine {engine}" if engine != "local" else f"--jobs {jobs}"
+        raise InputError(
+            f"--timing measures one episode after the other, so that none waits for another's share of the "
+            f'processor (supplement, "Runtime Protocol"): leave out {found}'
         )
-    return table
+    if engine == "local":
+        jobs = jobs or 1
+        return Means(partial(Processes, jobs=jobs), "local", jobs)
+    if engine != "ray":
+        raise InputError(f"--engine must be local or ray, found {engine}")
+    if gallery:
+        raise InputError("--gallery writes pictures on this machine: leave out --engine ray")
+    from fuse_grounding.benchmark.cluster import RayEngine
+
+    address = os.environ.get("RAY_ADDRESS")
+    if address and jobs is not None:
+        raise InputError(f"the cluster {address} (RAY_ADDRESS) has its own size: leave out --jobs {jobs}")
+    return Means(partial(RayEngine, address=address, cpus=jobs), "ray", None)
+
+
+def _told(plan: Plan, outcome: Outcome, timing: bool, teller: Teller) -> list[Any]:
+    """Prints a part's table; its values."""
+    teller.close()
+    for name, reason in outcome.refused.items():
+        teller.note(f"{name} was not run: {reason}")
+    if outcome.rows:
+        teller.out.print(f"\nresults     {plan.out / store.RESULTS}")
+    return _tables(outcome.rows, timing, teller)
+
+
+def _tables(rows: list[Row], timing: bool, teller: Teller) -> list[Any]:
+    """Prints the latency of each method, or the summary of all; the values."""
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    if not timing:
+        summaries = [summary(name, rows) for name in names]
+        if summaries:
+            teller.table(summary_table(summaries))
+        return summaries
+    tables = [latency([r for r in rows if r["method"] == name]) for name in names]
+    for table in tables:
+        teller.table(latency_table(table))
+    return [table.to_dict() for table in tables]

@@ -1,23 +1,20 @@
 """Segmenters and encoders of a user's own: `package.module:Class`, or the name of an entry point.
 
-The class is called with its section of the configuration (`SegmenterConfig`, `EncoderConfig`) alone.
-A module is looked for where Python looks, and in the working directory. What a segmenter of a user's own
-returns is held against the protocol, so that a mistake is told where it is made.
+The class is called with its section of the configuration (`SegmenterConfig`, `EncoderConfig`) alone. What a
+segmenter of a user's own returns is held against the protocol, so that a mistake is told where it is made.
 """
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata as metadata
 import inspect
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fuse_grounding import user_code
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.perception.prompts import check_picture
 from fuse_grounding.perception.protocol import Detection, Segmenter
@@ -34,28 +31,7 @@ _NEEDS = {"segmenter": ("segment", "labels"), "encoder": ("text", "name")}
 
 def load(kind: str, name: str) -> Any:
     """The class `package.module:Class`. Raises InputError unless it is there and is of that kind."""
-    module_name, _, path = name.partition(":")
-    who = f"{kind} `{name}`"
-    if not module_name or not path:
-        raise InputError(f"{who}: expected package.module:Class")
-    here = os.getcwd()
-    sys.path.insert(0, here)
-    try:
-        found: Any = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is not None and f"{module_name}.".startswith(f"{error.name}."):
-            raise InputError(
-                f"{who}: there is no module `{error.name}` here or among the installed packages"
-            ) from None
-        raise InputError(f"{who}: its module needs `{error.name}`, which is not installed") from error
-    except Exception as error:
-        raise InputError(f"{who}: its module cannot be imported: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.remove(here)
-    for part in path.split("."):
-        if not hasattr(found, part):
-            raise InputError(f"{who}: module `{module_name}` has no `{path}`")
-        found = getattr(found, part)
+    who, found = f"{kind} `{name}`", user_code.find(kind, name, "Class")
     if not inspect.isclass(found):
         raise InputError(f"{who} is a {type(found).__name__}, expected a class")
     if not callable(getattr(found, _NEEDS[kind][0], None)):
@@ -81,9 +57,9 @@ def make(kind: str, name: str, config: Any) -> Any:
 
 def sources(thing: Any) -> tuple[list[Path], list[str]]:
     """The file of an instance's class, and the distribution that brought it, if one did."""
-    file = inspect.getsourcefile(type(thing))
+    file = user_code.source_file(type(thing))
     top = type(thing).__module__.split(".")[0]
-    return ([] if file is None else [Path(file)], metadata.packages_distributions().get(top, [])[:1])
+    return ([] if file is None else [file], metadata.packages_distributions().get(top, [])[:1])
 
 
 class CheckedSegmenter:

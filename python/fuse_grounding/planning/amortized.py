@@ -109,7 +109,7 @@ class Amortized:
 
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
         """The best feasible action; ties go to the lowest index."""
-        with clock("plan"):
+        with clock("predict"):
             values = np.where(situation.feasible, self._planner.values(situation), np.nan)
         return Decision(int(np.nanargmax(values)), "amortized", values)
 

@@ -39,7 +39,7 @@ class Gated:
         """The gate, then one of the branches; the map is refined only by the explicit one."""
         if self._planner is None:
             return replace(self._explicit.decide(situation, clock), reason=NO_PLANNER)
-        with clock("plan"):
+        with clock("predict"):
             predicted = np.asarray(self._planner.values(situation), np.float32)
             values = np.where(situation.feasible, predicted, np.nan)
             entropy = evidence.action_entropy(

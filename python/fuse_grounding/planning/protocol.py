@@ -98,7 +98,7 @@ class Policy(Protocol):
         ...
 
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
-        """The next action; seconds go to the clock's stages refine, render, evidence, plan."""
+        """The next action; seconds go to the clock's stages refine, render, evidence, predict, plan."""
         ...
 
 

@@ -10,9 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -24,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from fuse_grounding import _core, tensors
+from fuse_grounding.child import settle, threads_each
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, load_episodes
 from fuse_grounding.environment.sets import SETS, planned_episode
@@ -100,20 +98,10 @@ _worker: _Worker | None = None
 
 
 def _begin(request: Request, threads: int) -> None:
-    """In a process of its own. Native threads start at first use, after this."""
+    """In a process of its own."""
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its children
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.environ["RAYON_NUM_THREADS"] = str(threads)
+    settle(threads)
     _worker = _Worker(request)
-
-
-def _end_with_parent() -> None:
-    """A process whose parent was killed would wait for work for ever."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _make(number: int, path: Path) -> None:
@@ -166,9 +154,8 @@ def _made(request: Request, wanted: list[tuple[int, Path]], jobs: int) -> Iterat
             tensors.write(path, worker.make(number))
             yield
         return
-    threads = max(1, (os.cpu_count() or 1) // jobs)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _begin, (request, threads)) as pool:
+    with ProcessPoolExecutor(jobs, context, _begin, (request, threads_each(jobs))) as pool:
         try:
             yield from _finished(pool.submit(_make, number, path) for number, path in wanted)
         except BrokenProcessPool:

@@ -1,0 +1,129 @@
+"""Suites: named lists of parts, each a benchmark folder with its own settings. A part is a line.
+
+What a part needs and does not ship with FUSE (a hosted model, gated weights) is optional: where it is
+missing, it is listed with the reason under `not_run` of the group's folders, never left out silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fuse_grounding.benchmark import store
+from fuse_grounding.benchmark.driver import Listener, Means, Outcome, Plan, run_benchmark
+from fuse_grounding.config import Config
+from fuse_grounding.environment import Episode
+from fuse_grounding.errors import InputError
+from fuse_grounding.registry import unknown
+
+
+@dataclass(frozen=True)
+class Part:
+    """A folder's methods and what they change of the settings; `optional` ones need what does not ship."""
+
+    name: str
+    methods: tuple[str, ...]
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
+
+
+_LADDER = ("static", "canonical", "random", "semantic_only", "geometry_only", "explicit")
+_FUSE = ("fuse",)
+_ITS_OWN = {"weights": None, "threshold": None}
+"""What is configured of the segmenter is for another one."""
+
+
+def _fuse(name: str, **settings: Mapping[str, Any]) -> Part:
+    return Part(name, _FUSE, settings)
+
+
+def _if_there(name: str, **settings: Mapping[str, Any]) -> Part:
+    return Part(name, _FUSE, settings, optional=_FUSE)
+
+
+_PARTS: dict[str, tuple[Part, ...]] = {
+    "main": (Part("main", (*_LADDER, "amortized", "fuse", "fuse_oracle", "vlm"), optional=("vlm",)),),
+    "knowledge": (
+        _fuse("knowledge_graph", knowledge={"source": "graph"}),
+        _if_there("knowledge_plain", knowledge={"source": "plain"}),
+        _fuse("knowledge_direct", knowledge={"source": "direct"}),
+        Part("knowledge_oracle", ("fuse_oracle",)),
+        _if_there("knowledge_llm", knowledge={"source": "llm"}),
+    ),
+    "stopping": (
+        _fuse("stopping_k5_depth", stopping={"patience": 5}),
+        _fuse("stopping_k3_depth", stopping={"patience": 3}),
+        _fuse("stopping_k5", stopping={"patience": 5, "weights": [0.7, 0.0]}),
+        _fuse("stopping_k3", stopping={"patience": 3, "weights": [0.7, 0.0]}),
+    ),
+    "evidence": (
+        _fuse("evidence_pixel"),  # with the configured segmenter
+        _if_there("evidence_embedded_patches", segmenter={"name": "embedded_patches", **_ITS_OWN}),
+        _if_there("evidence_clip_patches", segmenter={"name": "clip_patches", **_ITS_OWN}),
+    ),
+    "eta": tuple(_fuse(f"eta_{eta}", gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
+    "weights": tuple(
+        _fuse(f"weights_{s:g}_{g:g}", evidence={"semantic_weight": s, "geometric_weight": g})
+        for s, g in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0), (1.0, 0.0), (0.0, 1.0))
+    ),
+}
+
+SUITES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in _PARTS}, "paper": tuple(_PARTS)}
+"""Suite → groups of parts: the paper's main table, its ablations each for itself, or all of it."""
+
+
+def plans(
+    suite: str,
+    out: Path,
+    settings: Config,
+    episodes: Sequence[Episode],
+    *,
+    gallery: int = 0,
+    resume: bool = False,
+) -> list[Plan]:
+    """A plan for every part, in `out`/PART. A part takes over rows of others that were decided by the same.
+
+    `settings` are changed as each part says. Pictures are kept of the group `main` alone. Raises InputError
+    for an unknown suite, and for a folder in use without `resume`.
+    """
+    if suite not in SUITES:
+        raise InputError(unknown("suite", suite, list(SUITES)))
+    store.check(out, resume)
+    grouped = [(group, part) for group in SUITES[suite] for part in _PARTS[group]]
+    return [
+        Plan(
+            out=out / part.name,
+            settings=settings.with_(**part.settings),
+            episodes=episodes,
+            methods=part.methods,
+            optional=part.optional,
+            notes={"suite": suite, "part": part.name, "group": group},
+            siblings=[out / other.name for _, other in grouped if other.name != part.name],
+            gallery=gallery if group == "main" else 0,
+            resume=resume,
+        )
+        for group, part in grouped
+    ]
+
+
+def run(parts: Sequence[Plan], means: Means, listener: Listener) -> Iterator[tuple[Plan, Outcome]]:
+    """Runs plans one after the other; see `run_benchmark`.
+
+    A part of which nothing could be loaded leaves no folder: it is listed in those of its group. One that has
+    results nevertheless, made by hand, is left alone.
+    """
+    for group in dict.fromkeys(plan.notes["group"] for plan in parts):
+        mine = [plan for plan in parts if plan.notes["group"] == group]
+        not_run = []
+        for plan in mine:
+            listener.note(f"part {plan.out.name}")
+            outcome = run_benchmark(plan, means, listener)
+            if not outcome.rows and not store.has_results(plan.out):
+                reason = next(iter(outcome.refused.values()))
+                not_run.append({"name": plan.notes["part"], "reason": reason})
+            yield plan, outcome
+        for plan in mine:
+            if not_run and store.has_results(plan.out):
+                store.list_not_run(plan.out, not_run)

@@ -1,0 +1,109 @@
+"""The part of a benchmark that runs episodes: loaded once a process, the same under every engine."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from fuse_grounding.agent import Agent
+from fuse_grounding.assembly import Shelf, assemble
+from fuse_grounding.benchmark.gallery import Gallery
+from fuse_grounding.benchmark.runner import Row, run_one
+from fuse_grounding.config import Config
+from fuse_grounding.environment import Episode
+from fuse_grounding.errors import InputError
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a worker loads, as plain values that reach any process.
+
+    `methods` are references by the name that rows carry: for a method of ours the name itself, for a user's
+    own `package.module:factory`. Those that are `optional` may fail to load. `concurrent` says that other
+    episodes run at the same time. `gallery` is the folder for the pictures of the first
+    `gallery_episodes` episodes. `path` are folders in which modules are looked for.
+    """
+
+    config: Mapping[str, Any]
+    methods: Mapping[str, str]
+    optional: frozenset[str] = frozenset()
+    concurrent: bool = False
+    gallery: str | None = None
+    gallery_episodes: int = 0
+    path: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Task:
+    """An episode for a method. `index` is the episode's place in its set."""
+
+    index: int
+    method: str
+    episode: Episode = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What a worker has: provenance by method, and why optional methods could not be loaded."""
+
+    provenances: Mapping[str, dict[str, Any]]
+    refused: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Done:
+    """A task's row, and what else there is to tell."""
+
+    row: Row
+    notes: tuple[str, ...] = ()
+
+
+class Engine(Protocol):
+    """Runs tasks somewhere. A context manager: when it is left, nothing runs any more."""
+
+    def __enter__(self) -> Engine: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def load(self) -> Loaded:
+        """Starts the first worker and says what it has. Raises InputError for what cannot be loaded."""
+        ...
+
+    def run(self, tasks: Sequence[Task]) -> Iterator[Done]:
+        """Every task once, in any order. Raises InputError for what concerns all of them."""
+        ...
+
+
+class Worker:
+    """The agents of one process. `loaded` says what they are."""
+
+    def __init__(self, setup: Setup):
+        """Loads. Raises InputError for a method that is not optional and cannot be."""
+        sys.path.extend(place for place in setup.path if place not in sys.path)
+        config, shelf = Config.from_dict(setup.config), Shelf()
+        self._agents: dict[str, Agent] = {}
+        refused: dict[str, str] = {}
+        for name, reference in setup.methods.items():
+            try:
+                parts, settled = assemble(config.with_(method=reference), shelf)
+            except InputError as error:
+                if name not in setup.optional:
+                    raise
+                refused[name] = str(error)
+            else:
+                self._agents[name] = Agent(settled, parts)
+        self._setup = setup
+        self.loaded = Loaded({name: agent.provenance for name, agent in self._agents.items()}, refused)
+
+    def run(self, task: Task) -> Done:
+        """One row. Raises UnusableError for what concerns all episodes."""
+        setup, gallery = self._setup, None
+        if setup.gallery is not None and task.index < setup.gallery_episodes:
+            gallery = Gallery(setup.gallery, task.method, task.episode)
+        watchers = () if gallery is None else (gallery,)
+        row = run_one(
+            self._agents[task.method], task.method, task.episode, task.index, watchers, setup.concurrent
+        )
+        return Done(row, () if gallery is None else gallery.close())
