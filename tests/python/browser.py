@@ -1,4 +1,4 @@
-"""Headless Chromium over a pipe: opens one file, listens to what it asks for and what goes wrong, runs scripts."""
+"""Headless Chromium over a pipe: opens a file, hears what it asks for and what goes wrong, runs scripts."""
 
 from __future__ import annotations
 

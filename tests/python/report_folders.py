@@ -113,11 +113,13 @@ def _steps(
     method: str, count: int, overlap: float, dice: random.Random
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     found = dice.randint(0, count)
-    steps, branches = [], {}
+    steps: list[dict[str, Any]] = []
+    branches: dict[str, int] = {}
     ratio = dice.random()
     for k in range(count + 1):
         last = k == count
-        branch, entropy = (None, None) if last else (method, None)
+        branch = None if last else method
+        entropy: float | None = None
         if method in _GATED and not last:
             entropy = min(1.0, max(0.0, dice.gauss(0.82 - 0.012 * k, 0.1)))
             branch = "explicit" if entropy >= 0.8 else "amortized"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 from fuse_grounding.benchmark.report import plots
@@ -45,7 +46,7 @@ def _groups(part: Part, key: Callable[[str, Mapping[str, object]], str]) -> dict
 
 
 def _bin(fraction: float) -> str:
-    low, high = next((a, b) for a, b in zip(_EDGES, _EDGES[1:], strict=False) if fraction < b or b == 1)
+    low, high = next((a, b) for a, b in itertools.pairwise(_EDGES) if fraction < b or b == 1)
     return f"{100 * low:.0f} to {100 * high:.0f} %"
 
 
@@ -65,8 +66,8 @@ def _table(part: Part, name: str, title: str, heading: str, groups: Mapping[str,
             cells.append(Cell(rate, tint=rate))
         lines.append(Row(cells))
     caption = (
-        f"Share of the group’s episodes of `{part.set_name}` that end in success; n is the number of episodes. "
-        "Groups are small: with ten episodes a rate is known to about ± 30 percentage points."
+        f"Share of the group’s episodes of `{part.set_name}` that end in success; n is the number of "
+        "episodes. Groups are small: with ten episodes a rate is known to about ± 30 percentage points."
     )
     return Table(f"{part.set_name}_{part.name}_by_{name}", title, caption, columns, lines)
 
@@ -76,7 +77,7 @@ def visibility(part: Part, natures: Mapping[str, Nature], why_not: str) -> Figur
     title, key = "Success against visibility at the start", f"{part.set_name}_visibility"
     groups = [
         ({e for e, n in natures.items() if _bin(n.start_fraction) == _bin((a + b) / 2)}, a, b)
-        for a, b in zip(_EDGES, _EDGES[1:], strict=False)
+        for a, b in itertools.pairwise(_EDGES)
     ]
     groups = [g for g in groups if g[0]]
     if not groups or not part.arms:
@@ -100,8 +101,8 @@ def visibility(part: Part, natures: Mapping[str, Nature], why_not: str) -> Figur
         for x, y, n in line:
             plot.mark(x, y, style[arm.label], f"{plots.name(arm)}: {y:.0f} % of {n} episodes", size=4)
     caption = (
-        "Share of episodes that end in success, grouped by visible over unoccluded pixels of the sampled target "
-        f"in the start view, {_counts([len(e) for e, *_ in groups])}{_whiskers(part)}."
+        "Share of episodes that end in success, grouped by visible over unoccluded pixels of the sampled "
+        f"target in the start view, {_counts([len(e) for e, *_ in groups])}{_whiskers(part)}."
     )
     return Figure(key, title, caption, plot.svg(title), plots.legend(part.arms, style))
 

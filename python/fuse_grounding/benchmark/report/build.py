@@ -7,8 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fuse_grounding.benchmark.metrics import METRICS
-from fuse_grounding.benchmark.report import breakdown, gallery, labels, overview, paired, paper, plots
-from fuse_grounding.benchmark.report import reliability, summary, timing
+from fuse_grounding.benchmark.report import (
+    breakdown,
+    gallery,
+    labels,
+    overview,
+    paired,
+    paper,
+    plots,
+    reliability,
+    summary,
+    timing,
+)
 from fuse_grounding.benchmark.report.episodes import natures
 from fuse_grounding.benchmark.report.load import MAIN, Part, Results
 from fuse_grounding.benchmark.report.model import Block, Facts, Report, Section, Text
@@ -81,9 +91,9 @@ def _main(part: Part, options: Options, over: str) -> list[Section]:
 
 def _reading() -> list[Block]:
     words = (
-        "Every method ran on the same episodes. An episode is a success when the returned mask overlaps a valid "
-        "object with an IoU of at least 0.5. Arrows in the heads of tables say which way is better. Formulas of "
-        "all metrics and the conventions of the statistics: docs/metrics.md."
+        "Every method ran on the same episodes. An episode is a success when the returned mask overlaps a "
+        "valid object with an IoU of at least 0.5. Arrows in the heads of tables say which way is better. "
+        "Formulas of all metrics and the conventions of the statistics: docs/metrics.md."
     )
     units = [(m.title, m.unit) for m in METRICS]
     return [Text(words), Facts("Units of metrics", units)]

@@ -22,7 +22,8 @@ def prepare(out: Path) -> None:
             raise InputError(f"output directory {out} is a file")
         if out.is_dir() and any(out.iterdir()) and not (out / PAGE).is_file():
             raise InputError(
-                f"output directory {out} is not empty and not an earlier report (no {PAGE}); choose another --out"
+                f"output directory {out} is not empty and not an earlier report (no {PAGE}); "
+                "choose another --out"
             )
         (out / TABLES).mkdir(parents=True, exist_ok=True)
     except OSError as error:

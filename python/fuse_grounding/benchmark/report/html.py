@@ -1,4 +1,4 @@
-"""A report as one self-contained page: nothing is loaded, from nowhere; without scripts it is plain tables."""
+"""A report as one self-contained page: it loads nothing, and without scripts it is plain tables."""
 
 from __future__ import annotations
 
@@ -138,10 +138,12 @@ def _figure(made: Figure) -> str:
 
 def _strip(strip: Strip) -> str:
     frames = "".join(_frame(f) for f in strip.frames)
+    count = len(strip.frames)
     return (
         f'<details class="strip"><summary><span class="query">{escape(strip.title)}</span> '
         f'<span class="who">{escape(strip.method)} · {escape(strip.episode)}</span> '
-        f'<span class="verdict">{escape(strip.verdict)} · {len(strip.frames)} view{"s" * (len(strip.frames) != 1)}</span></summary>'
+        f'<span class="verdict">{escape(strip.verdict)} · {count} view{"s" * (count != 1)}</span>'
+        "</summary>"
         f'<div class="frames">{frames}</div></details>'
     )
 

@@ -182,7 +182,8 @@ def _read(path: Path, label: str) -> Folder:
     broken = next((r for r in rows if r["status"] == "ok" and not isinstance(r.get("success"), bool)), None)
     if broken is not None:
         raise InputError(
-            f"{path / RESULTS}: `{broken['method']}` on {broken['episode_id']} ran through and has no `success`"
+            f"{path / RESULTS}: `{broken['method']}` on {broken['episode_id']} ran through, and has no "
+            "`success`"
         )
     return Folder(path, label, part, what, whence, not_run, rows)
 

@@ -1,4 +1,4 @@
-"""What a report is made of, before it is HTML, Markdown, LaTeX or CSV: sections of tables, figures and text."""
+"""What a report is made of, before it is HTML, Markdown, LaTeX or CSV: tables, figures, text."""
 
 from __future__ import annotations
 

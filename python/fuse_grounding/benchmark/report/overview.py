@@ -50,8 +50,8 @@ def _folders(results: Results) -> Table:
         for part, name, reason in entries
     ]
     caption = (
-        "A result is one method on one episode. Settings that differ between folders have a column; all others are "
-        "the same in each of them."
+        "A result is one method on one episode. Settings that differ between folders have a column; all "
+        "others are the same in each of them."
     )
     return Table("folders", "Folders", caption, columns, lines)
 

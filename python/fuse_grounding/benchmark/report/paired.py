@@ -1,4 +1,4 @@
-"""Paired tables: one arm against the others on the same episodes (supplement, "Paired Statistical Protocol")."""
+"""Paired tables: an arm against others on the same episodes (supplement, Paired Statistical Protocol)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _METRICS = (
 def reference(part: Part, wanted: str | None = None) -> Arm:
     """The arm that the others are compared with.
 
-    `wanted` names a label or a method; without it, the arm at the default settings, FUSE before other methods.
+    `wanted` names a label or a method; without it, the arm at the default settings, FUSE before others.
     Raises InputError for a name that no arm of the part has.
     """
     if wanted is not None:
@@ -64,8 +64,8 @@ def tables(part: Part, wanted: str | None = None) -> list[Table]:
 
 def _heading(part: Part, found: comparison.Comparison, names: dict[str, str]) -> str:
     return (
-        f"{names[found.reference]} against the others on the same {found.episodes} episodes of `{part.set_name}`. "
-        "Differences are the reference minus the other"
+        f"{names[found.reference]} against the others on the same {found.episodes} episodes of "
+        f"`{part.set_name}`. Differences are the reference minus the other"
     )
 
 
@@ -116,13 +116,13 @@ def _success(part: Part, found: comparison.Comparison, names: dict[str, str]) ->
         for c in found.success
     ]
     caption = (
-        f"{_heading(part, found, names)}, with the 95 % interval of {found.resamples:,} paired bootstrap resamples; "
-        "the exact two-sided McNemar test; Holm’s adjustment over all lines of this table."
+        f"{_heading(part, found, names)}, with the 95 % interval of {found.resamples:,} paired bootstrap "
+        "resamples; the exact two-sided McNemar test; Holm’s adjustment over all lines of this table."
     )
     notes = [
-        "“Episodes needed”: how many pairs would show a difference of this size with power 0.8 at the level 0.05 "
-        "(none: no difference, or over a million). “Detectable”: the smallest difference that these pairs would "
-        "show, at the observed share of discordant pairs."
+        "“Episodes needed”: how many pairs would show a difference of this size with power 0.8 at the level "
+        "0.05 (none: no difference, or over a million). “Detectable”: the smallest difference that these "
+        "pairs would show, at the observed share of discordant pairs."
     ]
     title = "Paired: success"
     return Table(f"{part.set_name}_{part.name}_paired_success", title, caption, columns, lines, notes)
@@ -165,8 +165,8 @@ def _continuous(part: Part, found: comparison.Comparison, names: dict[str, str])
             )
         )
     caption = (
-        f"{_heading(part, found, names)}, with the 95 % interval of {found.resamples:,} paired bootstrap resamples; "
-        "two-sided Wilcoxon signed-rank tests; Holm’s adjustment within each metric, over all others."
+        f"{_heading(part, found, names)}, with the 95 % interval of {found.resamples:,} paired bootstrap "
+        "resamples; two-sided Wilcoxon signed-rank tests; Holm’s adjustment within each metric."
     )
     notes = ["Shares and scores are in [0, 1]. Pairs in which either method has no value are left out."]
     title = "Paired: other metrics"

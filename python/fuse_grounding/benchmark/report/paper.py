@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fuse_grounding.benchmark.report import labels
 from fuse_grounding.benchmark.report.load import Arm, Part
 from fuse_grounding.benchmark.report.model import Cell, Column, Row, Table
 from fuse_grounding.benchmark.report.summary import Summary

@@ -70,8 +70,8 @@ def pareto(part: Part) -> Figure:
         time, success = points[arm.label]
         plot.name(time, 100 * success.value, name(arm))
     caption = (
-        f"Share of {counted(arms)} that end in success (Wilson 95 % interval) against mean runtime; the stepped "
-        "line joins the methods that no other beats in both."
+        f"Share of {counted(arms)} that end in success (Wilson 95 % interval) against mean runtime; the "
+        "stepped line joins the methods that no other beats in both."
     )
     return Figure(key, title, caption, plot.svg(title), legend(arms, style))
 
@@ -93,11 +93,12 @@ def over_steps(part: Part) -> Figure:
             there = [r["trace"][min(k, len(r["trace"]) - 1)]["best_iou"] >= limit for r in arm.done]
             curve.append((float(k), 100 * sum(there) / len(arm.rows)))
         plot.line(curve, style[arm.label])
-        for k, y in curve[:: max(1, longest // 6)]:
-            plot.mark(k, y, style[arm.label], f"{name(arm)}: {y:.0f} % after {k:.0f} actions", size=4)
+        for at, y in curve[:: max(1, longest // 6)]:
+            tip = f"{name(arm)}: {y:.0f} % after {at:.0f} actions"
+            plot.mark(at, y, style[arm.label], tip, size=4)
     caption = (
-        f"Share of {counted(arms)} whose best view so far would count as success if the search ended after that "
-        "many actions; a search that has stopped keeps its result. Methods of a single view are left out."
+        f"Share of {counted(arms)} whose best view so far would count as success if the search ended after "
+        "that many actions; a search that has stopped keeps its result. Methods of one view are left out."
     )
     return Figure(key, title, caption, plot.svg(title), legend(arms, style))
 
@@ -164,9 +165,9 @@ def branches(part: Part) -> Figure:
             line.append((float(k), 100 * part_of.value))
             plot.whisker(k, 100 * part_of.low, 100 * part_of.high, style[arm.label])
         plot.line(line, style[arm.label])
-        for k, y in line:
-            tip = f"{name(arm)}: {y:.0f} % of {len(steps[arm.label][int(k) - 1])} decisions"
-            plot.mark(k, y, style[arm.label], tip, size=4)
+        for at, y in line:
+            tip = f"{name(arm)}: {y:.0f} % of {len(steps[arm.label][int(at) - 1])} decisions"
+            plot.mark(at, y, style[arm.label], tip, size=4)
     caption = f"Share of decisions that the explicit branch made (Wilson 95 % interval), {_decided(steps)}."
     return Figure(key, title, caption, plot.svg(title), legend(arms, style))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from statistics import mean
 
@@ -41,8 +42,8 @@ def _gate_success(part: Part, gated: Sequence[Arm]) -> Figure:
     }
     caption = (
         "Decisions in bins of equal count by the entropy of the planner's values; up: share of them "
-        "whose search ended in success (Wilson 95 % interval), {n}. Decisions of one search share its outcome, "
-        "so the intervals are too narrow."
+        "whose search ended in success (Wilson 95 % interval), {n}. Decisions of one search share its "
+        "outcome, so the intervals are too narrow."
     )
     y = Axis("in searches that succeed, %", 0, 100)
     return _binned(part, gated, pairs, title, key, caption, y, lambda v: share([bool(x) for x in v]), 100)
@@ -55,7 +56,7 @@ def _gate_gain(part: Part, gated: Sequence[Arm]) -> Figure:
         found = pairs.setdefault(arm.label, [])
         for row in arm.done:
             trace = row["trace"]
-            for here, there in zip(trace, trace[1:], strict=False):
+            for here, there in itertools.pairwise(trace):
                 if here.get("entropy") is not None and "target_pixel_ratio" in here:
                     found.append((here["entropy"], there["target_pixel_ratio"] - here["target_pixel_ratio"]))
     caption = (
@@ -107,7 +108,7 @@ def _equal_count(pairs: Sequence[Pair]) -> list[list[Pair]]:
     ranked = sorted(pairs)
     bins = max(1, min(_BINS, len(ranked) // _LEAST))
     edges = [round(k * len(ranked) / bins) for k in range(bins + 1)]
-    return [ranked[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+    return [ranked[a:b] for a, b in itertools.pairwise(edges)]
 
 
 def _segmenter(part: Part) -> Figure:
@@ -127,16 +128,16 @@ def _segmenter(part: Part) -> Figure:
     plot.line([(0.0, 0.0), (1.0, 100.0)], 0, thin=True)
     line, error = [], 0.0
     for _, group in sorted(groups.items()):
-        at, won = mean(s for s, _ in group), share([w for _, w in group])
-        error += len(group) / len(found) * abs(at - won.value)
-        plot.whisker(at, 100 * won.low, 100 * won.high, 8)
-        line.append((at, 100 * won.value, len(group)))
+        at, rate = mean(s for s, _ in group), share([won for _, won in group])
+        error += len(group) / len(found) * abs(at - rate.value)
+        plot.whisker(at, 100 * rate.low, 100 * rate.high, 8)
+        line.append((at, 100 * rate.value, len(group)))
     plot.line([(x, y) for x, y, _ in line], 8)
     for x, y, count in line:
         plot.mark(x, y, 8, f"{y:.0f} % of {count} results at a score near {x:.2f}", size=4)
     caption = (
-        "Results of all methods in bins of 0.1 by the score of the returned mask; up: share of them that are a "
-        f"success (Wilson 95 % interval), n = {len(found)} results. On the thin line score and success agree; "
-        f"expected calibration error {error:.3f}."
+        "Results of all methods in bins of 0.1 by the score of the returned mask; up: share of them that are "
+        f"a success (Wilson 95 % interval), n = {len(found)} results. On the thin line score and success "
+        f"agree; expected calibration error {error:.3f}."
     )
     return Figure(key, title, caption, plot.svg(title))

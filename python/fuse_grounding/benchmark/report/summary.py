@@ -1,4 +1,4 @@
-"""Each arm by itself: the table of a part, every metric with its interval, what was not run with its reason."""
+"""Each arm by itself: every metric with its interval, and what was not run with its reason."""
 
 from __future__ import annotations
 
@@ -133,8 +133,8 @@ def _table(
         lines.append(Row([*head, *(summary.cell(n) for n in shown)]))
     lines += [Row([Cell(labels.method(name))], note=f"not run: {reason}") for name, reason in part.not_run]
     caption = (
-        f"Means over the episodes of `{part.set_name}`, in brackets 95 % intervals: Wilson for success, percentile "
-        "bootstrap (10,000 resamples) for the rest."
+        f"Means over the episodes of `{part.set_name}`, in brackets 95 % intervals: Wilson for success, "
+        "percentile bootstrap (10,000 resamples) for the rest."
     )
     notes = _notes(part, found, shown)
     return Table(f"{part.set_name}_{part.name}{suffix}", title, caption, columns, lines, notes)
@@ -145,7 +145,7 @@ def _notes(part: Part, found: Mapping[str, Summary], shown: list[str]) -> list[s
     notes = []
     if any(a.errors for a in part.arms):
         notes.append(
-            "An episode that ended in an error is a failure: success 0, IoU 0, and no value of the other metrics."
+            "An episode that ended in an error is a failure: success 0, IoU 0, no value of the other metrics."
         )
     fewer: dict[str, list[str]] = {}
     for name in shown:

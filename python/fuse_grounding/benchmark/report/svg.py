@@ -5,6 +5,7 @@ A plot is drawn in units of its view box, which are CSS pixels at its natural wi
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -140,7 +141,7 @@ class Plot:
     def avoid(self, points: Sequence[tuple[float, float]]) -> None:
         """Keeps names off the stairs through points."""
         places = [self.at(*p) for p in points]
-        for (x0, y0), (x1, y1) in zip(places, places[1:], strict=False):
+        for (x0, y0), (x1, y1) in itertools.pairwise(places):
             self._taken.append((x0 - 2, y0 - 2, x1 + 2, y0 + 2))
             self._taken.append((x1 - 2, min(y0, y1) - 2, x1 + 2, max(y0, y1) + 2))
 
@@ -222,8 +223,9 @@ def _text(x: float, y: float, words: str, anchor: str, kind: str) -> str:
 
 def _rectangle(left: float, top: float, right: float, bottom: float, style: int, tip: str) -> str:
     return (
-        f'<rect class="bar s{style % STYLES}" x="{left:.1f}" y="{top:.1f}" width="{max(right - left, 0):.1f}" '
-        f'height="{max(bottom - top, 0):.1f}"><title>{escape(tip)}</title></rect>'
+        f'<rect class="bar s{style % STYLES}" x="{left:.1f}" y="{top:.1f}" '
+        f'width="{max(right - left, 0):.1f}" height="{max(bottom - top, 0):.1f}">'
+        f"<title>{escape(tip)}</title></rect>"
     )
 
 
@@ -238,7 +240,8 @@ def _polygon(corners: int, turn: float) -> Callable[[float, float, float], str]:
 
 def _cross(x: float, y: float, size: float) -> str:
     s = size * 0.8
-    return f'<path d="M{x - s:.1f} {y - s:.1f}l{2 * s:.1f} {2 * s:.1f}m0 {-2 * s:.1f}l{-2 * s:.1f} {2 * s:.1f}"/>'
+    d = 2 * s
+    return f'<path d="M{x - s:.1f} {y - s:.1f}l{d:.1f} {d:.1f}m0 {-d:.1f}l{-d:.1f} {d:.1f}"/>'
 
 
 def _plus(x: float, y: float, size: float) -> str:

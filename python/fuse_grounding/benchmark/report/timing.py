@@ -28,7 +28,7 @@ def blocks(part: Part) -> list[Block]:
 
 
 def runtime(part: Part) -> Table:
-    """Seconds an episode, hours for a hundred, speed-up over explicit search on the episodes both finished."""
+    """Seconds an episode, hours for a hundred, speed-up over explicit search where both finished."""
     known = paper.facts()["runtime"]
     slow = next((a for a in part.arms if a.method == _SLOW), None)
     columns = [
@@ -60,9 +60,9 @@ def runtime(part: Part) -> Table:
             )
         )
     caption = (
-        f"Runtime over the episodes of `{part.set_name}` that ran through, without loading (supplement, Runtime "
-        "Protocol); speed-up: summed time of explicit search over that of the method, on the episodes that both "
-        "finished; in brackets bootstrap 95 % intervals."
+        f"Runtime over the episodes of `{part.set_name}` that ran through, without loading (supplement, "
+        "Runtime Protocol); speed-up: summed time of explicit search over that of the method, on the "
+        "episodes that both finished; in brackets bootstrap 95 % intervals."
     )
     notes = [paper.WARNING, *_concurrent(part.arms)]
     return Table(
@@ -131,8 +131,8 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
             )
         )
     caption = (
-        f"Mean seconds per episode of `{part.set_name}` by component (supplement, Efficiency Analysis), without "
-        "loading and without waiting for hosted models."
+        f"Mean seconds per episode of `{part.set_name}` by component (supplement, Efficiency Analysis), "
+        "without loading and without waiting for hosted models."
     )
     title = "Latency by component"
     return Table(
@@ -166,14 +166,14 @@ def _beside_paper(part: Part, arm: Arm, profile: Latency) -> Table:
     lines.append(Row([Cell("Total"), *(Cell(v) for v in total)]))
     explicit, spread = profile.branch_pct.get("explicit", 0.0), profile.refinements_per_ep
     notes = [
-        f"Explicit branch: {explicit:.1f} % of decisions here, {100 * known['explicit_share']:.1f} % in the paper. "
-        f"Map refinements per episode: {spread.mean:.2f} ± {spread.sd:.2f} here, {known['refinements']['mean']:.2f} "
-        f"± {known['refinements']['sd']:.2f} in the paper.",
+        f"Explicit branch: {explicit:.1f} % of decisions here, {100 * known['explicit_share']:.1f} % in the "
+        f"paper. Map refinements per episode: {spread.mean:.2f} ± {spread.sd:.2f} here, "
+        f"{known['refinements']['mean']:.2f} ± {known['refinements']['sd']:.2f} in the paper.",
         paper.WARNING,
     ]
     caption = (
-        f"{plots.name(arm)}: calls and time by component over n = {profile.episodes} episodes of `{part.set_name}`; "
-        f"in the paper over {known['episodes']}, of all its knowledge sources."
+        f"{plots.name(arm)}: calls and time by component over n = {profile.episodes} episodes of "
+        f"`{part.set_name}`; in the paper over {known['episodes']}, of all its knowledge sources."
     )
     title = "Latency beside the paper’s (another world)"
     return Table(f"{part.set_name}_{part.name}_latency_paper", title, caption, columns, lines, notes)
