@@ -45,7 +45,7 @@ def build(results: Results, options: Options = Options()) -> Report:
             if part.name == MAIN and part.arms:
                 sections += _main(part, options, over)
     sections.append(Section("gallery", "Episodes step by step", gallery.blocks(results, options.gallery_mb)))
-    sections.append(Section("errors", "Errors", overview.errors(results)))
+    sections.append(Section("failed", "Errors", overview.errors(results)))
     sections.append(Section("reading", "How to read this", _reading()))
     return Report("FUSE benchmark", _summary(results), sections)
 

@@ -46,6 +46,19 @@ def escape(words: str) -> str:
     return " ".join("".join(_letter(c) for c in words).split())
 
 
+def _prose(words: str) -> str:
+    """The same of a caption: what stands between backticks is code."""
+    parts = words.split("`")
+    closed = parts if len(parts) % 2 else [words]
+    return "".join(rf"\texttt{{{escape(p)}}}" if i % 2 else _spaced(p) for i, p in enumerate(closed))
+
+
+def _spaced(words: str) -> str:
+    """Escaped, with the spaces at its ends."""
+    before, after = (" " if words[at : at + 1].isspace() else "" for at in (0, len(words) - 1))
+    return f"{before}{escape(words)}{after}" if words.strip() else before
+
+
 def _letter(character: str) -> str:
     if character in _SPECIAL:
         return _SPECIAL[character]
@@ -61,7 +74,7 @@ def table(made: Table) -> str:
         r"% \usepackage{booktabs,graphicx}",
         r"\begin{table}[t]",
         r"\centering\small",
-        rf"\caption{{{escape(' '.join([made.caption, *made.notes]))}}}",
+        rf"\caption{{{_prose(' '.join([made.caption, *made.notes]))}}}",
         rf"\label{{tab:{made.name.replace('_', '-')}}}",
         r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
         rf"\begin{{tabular}}{{{spec}}}",
@@ -74,7 +87,7 @@ def table(made: Table) -> str:
         cells = [_cell(column, cell) for column, cell in zip(made.columns, row.cells, strict=False)]
         rest = len(made.columns) - len(cells)
         if row.note and rest > 0:
-            cells.append(rf"\multicolumn{{{rest}}}{{l}}{{\emph{{{escape(row.note)}}}}}")
+            cells.append(rf"\multicolumn{{{rest}}}{{l}}{{\emph{{{_prose(row.note)}}}}}")
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}}", r"\end{table}", ""])
 

@@ -74,7 +74,20 @@ def _provenance(folders: Sequence[Folder]) -> list[tuple[str, str]]:
 def _facts(folder: Folder) -> dict[str, str]:
     """What the header says, without nesting; digests shortened."""
     decisive = {k: v for k, v in folder.identity.items() if k in ("results_version", "data")}
-    return {_name(key): _word(value) for key, value in flat({**folder.provenance, **decisive}).items()}
+    facts = {**_of_methods(folder), **flat({**folder.provenance, **decisive})}
+    return {_name(key): _word(value) for key, value in facts.items()}
+
+
+def _of_methods(folder: Folder) -> dict[str, Any]:
+    """Weights and devices of all methods; where they differ, each value with its methods."""
+    values: dict[str, dict[str, list[str]]] = {}
+    for method, parts in folder.identity.get("methods", {}).items():
+        for key, value in flat({k: v for k, v in parts.items() if k != "packages"}).items():
+            values.setdefault(key, {}).setdefault(_word(value), []).append(method)
+    return {
+        key: "; ".join(v if len(found) == 1 else f"{v} ({', '.join(who)})" for v, who in found.items())
+        for key, found in values.items()
+    }
 
 
 def _name(key: str) -> str:
@@ -82,6 +95,7 @@ def _name(key: str) -> str:
     for prefix, words in (
         ("packages.", ""),
         ("sha256.", "weights of "),
+        ("weights.", "weights of "),
         ("machine.", ""),
         ("perception.", ""),
     ):

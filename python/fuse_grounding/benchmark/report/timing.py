@@ -11,6 +11,8 @@ from fuse_grounding.benchmark.report.load import Arm, Part
 from fuse_grounding.benchmark.report.model import Block, Cell, Column, Figure, Row, Table
 from fuse_grounding.benchmark.report.svg import STYLES, Axis, Plot
 
+_LEAST = 0.005
+"""Seconds an episode below which a component is not shown."""
 _SLOW = "explicit"
 """The method that speed-ups are over (supplement, "Computational Speed Up Analysis")."""
 
@@ -99,13 +101,14 @@ def _profiles(part: Part) -> dict[str, Latency]:
     return {
         a.label: latency(list(a.rows.values()), concurrent=True)
         for a in part.arms
-        if a.done and all("calls" in r and "runtime_seconds" in r for r in a.done)
+        if a.done and all(r.get("calls") and "runtime_seconds" in r for r in a.done)
     }
 
 
 def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
     """Seconds an episode by component, a line a method."""
-    components = [c for c in next(iter(found.values())).components]
+    spent = {c for p in found.values() for c, part in p.components.items() if part.s_per_ep >= _LEAST}
+    components = [c for c in next(iter(found.values())).components if c in spent]
     columns = [
         Column("method", "Method", word=True),
         *(Column(c, labels.component(c), "s", 2) for c in components),
@@ -132,7 +135,8 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
         )
     caption = (
         f"Mean seconds per episode of `{part.set_name}` by component (supplement, Efficiency Analysis), "
-        "without loading and without waiting for hosted models."
+        "without loading and without waiting for hosted models. Components that take no method "
+        f"{_LEAST} s are left out."
     )
     title = "Latency by component"
     return Table(
