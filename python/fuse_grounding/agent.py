@@ -385,7 +385,6 @@ class Session:
             reason,
             self.policy.planner,
             1 if self.policy.start == "canonical" else 0,
-            self.clock.calls,
             time.perf_counter() - self._began,
         )
         grounded = self.grounded

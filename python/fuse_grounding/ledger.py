@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from fuse_grounding.config import Config
@@ -84,7 +84,6 @@ def result(
     reason: str,
     planner: str | None,
     moves_before: int,
-    calls: Mapping[str, int],
     wall_seconds: float,
 ) -> ResultEntry:
     """The end of the episode. `moves_before`: actions made before the first online view."""
@@ -118,7 +117,6 @@ def result(
         registrations=_count([s.registration for s in steps] + [s.registration for s in seeds]),
         planner=planner,
         timings=_sum_timings(record),
-        calls=dict(calls),
         wall_seconds=round(wall_seconds, 6),
     )
 

@@ -193,8 +193,6 @@ class ResultEntry(Entry):
     metrics: dict[str, bool | int | float | None] | None = None
     """Against the ground truth, where it is known."""
     timings: Timings
-    calls: dict[str, int] = Field(default_factory=dict)
-    """How often each stage of `timings` was entered."""
     wall_seconds: float
 
 

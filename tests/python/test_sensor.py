@@ -244,7 +244,7 @@ def test_the_sensor_is_recorded_and_part_of_a_benchmarks_identity():
     agent = Agent(config)
     assert agent.start(EPISODE.query).record.config["sensor"] == config.to_dict()["sensor"]
     assert config.to_dict()["sensor"]["seed"] == 3
-    parts = [identity.identity(c, [EPISODE], agent.provenance) for c in (Config(), config)]
+    parts = [identity.identity(c, [EPISODE], {"fuse": agent.provenance}) for c in (Config(), config)]
     assert identity.difference(*parts) == (
         "with other settings (`config.sensor.depth_edge_dropout` is 0.0 there and 0.5 here)"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,7 +104,7 @@ def run_benchmark(plan: Plan, means: Means, listener: Listener) -> Outcome:
         concurrent=means.concurrent,
         gallery=str(plan.out.absolute() / gallery.FOLDER) if plan.gallery else None,
         gallery_episodes=plan.gallery,
-        path=(str(Path.cwd()),),
+        path=(str(Path.cwd()), *(place for place in sys.path if place)),
     )
     with means.engine(setup) as engine:
         loaded = engine.load()

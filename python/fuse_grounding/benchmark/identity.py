@@ -111,13 +111,13 @@ def difference(found: Any, wanted: Mapping[str, Any]) -> str | None:
     if not isinstance(found, Mapping):
         return f"{_MEANINGS['identity_version']} (no identity there)"
     for part in ("identity_version", "results_version", "config", "data"):
-        where = _first_difference(found.get(part), wanted[part], part)
+        where = first_difference(found.get(part), wanted[part], part)
         if where is not None:
             return f"{_MEANINGS[part]} ({where})"
     for method, parts in wanted["methods"].items():
         there = found.get("methods", {}).get(method)
         for part, value in parts.items():
-            where = None if there is None else _first_difference(there.get(part), value, part)
+            where = None if there is None else first_difference(there.get(part), value, part)
             if where is not None:
                 return f"{_MEANINGS[part]} ({where}, method `{method}`)"
     where = _episodes_difference(found.get("episodes", {}), wanted["episodes"])
@@ -129,7 +129,7 @@ def difference(found: Any, wanted: Mapping[str, Any]) -> str | None:
 
 def _episodes_difference(found: Mapping[str, str], wanted: Mapping[str, str]) -> str | None:
     for name, there in found.items():
-        where = _first_difference(there, wanted.get(name), f"episodes.{name}")
+        where = first_difference(there, wanted.get(name), f"episodes.{name}")
         if where is not None:
             return where
     for number, (there, here) in enumerate(zip(found, wanted, strict=False)):
@@ -169,11 +169,11 @@ def _settings(config: Config) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if value != {}}
 
 
-def _first_difference(found: Any, wanted: Any, key: str) -> str | None:
+def first_difference(found: Any, wanted: Any, key: str) -> str | None:
     """The first key whose values differ, with both; long digests are shortened."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         for inner in sorted(found.keys() | wanted.keys()):
-            where = _first_difference(found.get(inner), wanted.get(inner), f"{key}.{inner}")
+            where = first_difference(found.get(inner), wanted.get(inner), f"{key}.{inner}")
             if where is not None:
                 return where
         return None

@@ -46,7 +46,7 @@ COMPONENTS = {
 """Components by stages of the stopwatch, in the order of the supplement's table, whose `sam3_grounding` is
 `segmentation` and `gs_refinement` `map_refinement`. `action_choice`, `final_evaluation`, `other` are ours."""
 
-HOSTED = "hosted"
+HOSTED = "api"
 """The stage in which a method waits for a hosted model: no part of the runtime (supplement)."""
 
 

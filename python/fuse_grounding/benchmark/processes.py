@@ -15,8 +15,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from fuse_grounding.benchmark.runner import failure, head
-from fuse_grounding.benchmark.worker import Done, Loaded, Setup, Task, Worker
+from fuse_grounding.benchmark.worker import Done, Loaded, Setup, Task, Worker, dead
 from fuse_grounding.child import settle, threads_each
 from fuse_grounding.errors import FuseError, InputError
 
@@ -65,7 +64,8 @@ class Processes:
                     if deaths[task.index, task.method] < _ATTEMPTS:
                         waiting.appendleft(task)
                         continue
-                    done = Done(_row_of_the_dead(self._setup, task, death.code))
+                    why = f"the process that ran it died {_ATTEMPTS} times ({_told(death.code)})"
+                    done = dead(self._setup, task, why)
                 if done is not None:
                     self._staff(waiting)  # nobody is idle while the row is written
                     yield done
@@ -168,16 +168,6 @@ def _serve(connection: Connection, setup: Setup, threads: int) -> None:
         tell("refused", str(error))
     except Exception as error:
         tell("broken", f"a worker process failed: {type(error).__name__}: {error}\n{traceback.format_exc()}")
-
-
-def _row_of_the_dead(setup: Setup, task: Task, code: int | None) -> dict[str, Any]:
-    error = failure(f"the process that ran it died {_ATTEMPTS} times ({_told(code)})")
-    return {
-        **head(task.method, task.episode, task.index),
-        "concurrent": setup.concurrent,
-        **error,
-        "wall_seconds": 0.0,
-    }
 
 
 def _told(code: int | None) -> str:

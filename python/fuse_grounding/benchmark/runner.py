@@ -12,12 +12,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fuse_grounding.agent import Agent
+from fuse_grounding.agent import Agent, Session
+from fuse_grounding.benchmark.latency import HOSTED
 from fuse_grounding.benchmark.trace import Trace
 from fuse_grounding.environment import Episode, TabletopEnvironment
 from fuse_grounding.errors import UnusableError
 from fuse_grounding.grounding import Grounded
 from fuse_grounding.parts import Watcher
+from fuse_grounding.record import StepEntry
 
 Row = dict[str, Any]
 
@@ -45,8 +47,8 @@ def run_one(
         environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
         environment.true_targets()  # counts pixels where an episode brings no statistics
         began = time.perf_counter()
-        trace = Trace(settings)
-        watching = (trace, *watchers)
+        trace, calls = Trace(settings), _Calls()
+        watching: list[Watcher] = [trace, calls, *watchers]
         grounded = agent.run(environment, episode.query, episode_index=index, watchers=watching)
         judged = trace.judge(grounded, environment, agent.segmenter)
         assert grounded.record.result is not None
@@ -56,7 +58,26 @@ def run_one(
     except BaseException as error:  # a panic of native code is no Exception
         seconds = round(time.perf_counter() - began, 6)
         return {**row, **failure(error), "wall_seconds": seconds}
-    return {**row, "status": "ok", **judged.metrics, **_outcome(grounded), "trace": judged.step_rows()}
+    told = {**judged.metrics, **_outcome(grounded), "calls": calls.counts, "trace": judged.step_rows()}
+    told["runtime_seconds"] = round(told["runtime_seconds"] - told["timings"].get(HOSTED, 0.0), 6)
+    return {**row, "status": "ok", **told}
+
+
+class _Calls:
+    """A watcher that keeps how often each stage was entered."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+
+    def started(self, session: Session) -> None:
+        """Nothing yet."""
+
+    def stepped(self, session: Session, step: StepEntry) -> None:
+        """Nothing yet: the clock goes on."""
+
+    def finished(self, session: Session, grounded: Grounded) -> None:
+        """The clock has stopped."""
+        self.counts = dict(session.clock.calls)
 
 
 def head(method: str, episode: Episode, index: int) -> Row:
@@ -105,7 +126,6 @@ def _outcome(grounded: Grounded) -> Row:
         "planner": result.planner,
         "gaussians": record.steps[-1].map.gaussians if record.steps[-1].map is not None else None,
         "refinements": 0 if record.steps[-1].map is None else record.steps[-1].map.refinements,
-        "calls": result.calls,
         "timings": result.timings,
         "wall_seconds": result.wall_seconds,
     }

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from fuse_grounding.agent import Agent
 from fuse_grounding.assembly import Shelf, assemble
 from fuse_grounding.benchmark.gallery import Gallery
-from fuse_grounding.benchmark.runner import Row, run_one
+from fuse_grounding.benchmark.runner import Row, failure, head, run_one
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
 from fuse_grounding.errors import InputError
@@ -74,6 +74,12 @@ class Engine(Protocol):
     def run(self, tasks: Sequence[Task]) -> Iterator[Done]:
         """Every task once, in any order. Raises InputError for what concerns all of them."""
         ...
+
+
+def dead(setup: Setup, task: Task, why: str) -> Done:
+    """The row of a task whose worker did not live to make one."""
+    start = head(task.method, task.episode, task.index)
+    return Done({**start, "concurrent": setup.concurrent, **failure(why), "wall_seconds": 0.0})
 
 
 class Worker:
