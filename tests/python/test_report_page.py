@@ -186,7 +186,10 @@ def test_a_gallery_stays_under_its_limit_and_says_what_is_cut(folder: Path):
         return strips, [b.words for b in blocks if isinstance(b, Text)]
 
     whole, words = gallery(16)
-    assert [(s.method, s.episode) for s in whole] == [("Explicit Exploration", "dev_0000"), ("FUSE", "dev_0001")]
+    assert [(s.method, s.episode) for s in whole] == [
+        ("Explicit Exploration", "dev_0000"),
+        ("FUSE", "dev_0001"),
+    ]
     assert words == []
     first = sum(len(p.uri) for frame in whole[0].frames for p in frame.pictures) / 1e6
     cut, words = gallery(first)
