@@ -125,6 +125,18 @@ def test_a_grounding_that_misses_is_judged_by_the_sampled_target():
     assert float(lost["best_target_score"] or 0) > 0
 
 
+def test_runtime_leaves_out_hosted_models_and_counts_the_last_query():
+    kit = Kit("static", lambda node, pitch: 0.6)
+    grounded = ground(kit)
+    result = grounded.record.result
+    assert result is not None
+    result.wall_seconds, result.timings = 70.0, {"segment": 5.0, metrics.HOSTED: 60.0}
+    truth = Truth(lambda node, pitch: {9: KNIFE}, TARGETS)
+    runtime = metrics.evaluate(grounded, truth, kit.seer, kit.config)["runtime_seconds"]
+    assert runtime is not None
+    assert 10.0 < runtime < 15.0
+
+
 def test_success_begins_at_half():
     """Supplement: IoU >= 0.5; the main text's "greater than 0.5" differs at 0.5 itself alone."""
     kit = Kit("static", lambda node, pitch: 0.6)
