@@ -16,7 +16,6 @@ from fuse_grounding.benchmark.report import Options, build, load, write
 from fuse_grounding.benchmark.report.model import Gallery, Strip, Text
 from fuse_grounding.config import Config
 from fuse_grounding.environment import load_episodes
-from fuse_grounding.errors import InputError
 from fuse_grounding.record import EpisodeRecord, ResultEntry, StepEntry, ViewEntry
 
 pytest.importorskip("scipy", reason="the statistics of a report need the extra `report`")
@@ -201,12 +200,19 @@ def test_a_gallery_stays_under_its_limit_and_says_what_is_cut(folder: Path):
     assert gallery(first - 1e-3)[0] == []
 
 
-def test_a_broken_picture_is_named(tmp_path: Path):
+def test_an_episode_that_cannot_be_read_is_named_and_the_others_are_shown(tmp_path: Path):
     made = write_folder(tmp_path / "b", ["static"])
-    place = keep_episode(made, "static", "dev_0000", steps=1)
-    (place / "steps/00/semantic.png").write_bytes(b"no picture")
-    with pytest.raises(InputError, match=r"steps/00/semantic\.png is not a picture"):
-        build(load([made]))
+    whole, picture, record = (keep_episode(made, "static", f"dev_000{k}", steps=1) for k in range(3))
+    (picture / "steps/00/semantic.png").write_bytes(b"no picture")
+    (record / "episode.json").write_text('{"schema_version": 1, "steps"')
+    report = build(load([made]))
+    blocks = next(s.blocks for s in report.sections if s.name == "gallery")
+    assert [s.episode for b in blocks if isinstance(b, Gallery) for s in b.strips] == [whole.name]
+    said = [b.words for b in blocks if isinstance(b, Text) and b.kind == "warning"]
+    assert said[0] == "Cannot be shown: b/gallery/static/dev_0001/steps/00/semantic.png is not a picture."
+    assert said[1].startswith(
+        "Cannot be shown: episode record b/gallery/static/dev_0002/episode.json is not "
+    )
 
 
 # -- in a browser ------------------------------------------------------------------------------------

@@ -22,6 +22,8 @@ from fuse_grounding.benchmark.report import (
 from fuse_grounding.benchmark.report.episodes import natures
 from fuse_grounding.benchmark.report.load import MAIN, Part, Results
 from fuse_grounding.benchmark.report.model import Block, Facts, Report, Section, Text
+from fuse_grounding.errors import InputError
+from fuse_grounding.registry import unknown
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,10 @@ class Options:
 
 def build(results: Results, options: Options = Options()) -> Report:
     """The whole report. Raises InputError for a reference that is not there, and for broken pictures."""
+    if options.reference is not None and not any(
+        paired.has(p, options.reference) for p in results.part(MAIN)
+    ):
+        raise InputError(unknown("method", options.reference, paired.names(results.part(MAIN))))
     sections = [Section("run", "What was run", overview.blocks(results))]
     sets = list(dict.fromkeys(p.set_name for p in results.parts))
     for set_name in sets:
@@ -64,7 +70,7 @@ def _part(part: Part, options: Options) -> list[Block]:
     found = summary.summaries(part)
     blocks: list[Block] = [summary.table(part, found)]
     blocks += [t for t in (summary.more(part, found), paper.beside(part, found)) if t is not None]
-    reference = options.reference if part.name == MAIN else None
+    reference = options.reference if part.name == MAIN and paired.has(part, options.reference) else None
     return blocks + list(paired.tables(part, reference))
 
 

@@ -47,15 +47,24 @@ def blocks(results: Results, limit_mb: float = LIMIT_MB) -> list[Block]:
     # Episode by episode, so that what fits compares methods on the same ones.
     kept.sort(key=lambda k: (k.episode, labels.place(k.method), k.folder.label))
     budget, strips, left_out = limit_mb * 1e6, [], 0
+    words: list[Block] = []
     for one in kept:
-        strip = _strip(one)
+        if left_out:
+            left_out += 1
+            continue
+        try:
+            strip = _strip(one)
+        except InputError as error:
+            # Without where it lies on this machine.
+            reason = str(error).replace(str(one.folder.path), one.folder.label)
+            words.append(Text(f"Cannot be shown: {reason}.", "warning"))
+            continue
         size = sum(len(p.uri) for f in strip.frames for p in f.pictures)
-        if left_out or size > budget:
+        if size > budget:
             left_out += 1
             continue
         budget -= size
         strips.append(strip)
-    words: list[Block] = []
     if left_out:
         words.append(
             Text(

@@ -25,6 +25,8 @@ from fuse_grounding.benchmark.report.model import (
 )
 from fuse_grounding.benchmark.report.svg import swatch
 
+_LINE = 28
+"""Characters of a cell up to which its words stay on one line."""
 _ASSETS = Path(__file__).parent / "assets"
 
 
@@ -120,6 +122,7 @@ def _cell(column: Column, cell: Cell, place: int) -> str:
     value = "" if cell.value is None else f' data-v="{escape(str(cell.value), quote=True)}"'
     tint = "" if cell.tint is None else f' style="--tint:{100 * cell.tint:.0f}%"'
     kind = ("word" if column.word else "number") + (" tint" if tint else "")
+    kind += " long" if len(column.show(cell)) > _LINE else ""
     shown = words(column.show(cell))
     if place == 0:
         return f'<th scope="row" class="{kind}"{value}>{shown}{ends}</th>'

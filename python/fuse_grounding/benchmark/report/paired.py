@@ -12,8 +12,6 @@ from fuse_grounding.benchmark.report.model import Cell, Column, Row, Table
 from fuse_grounding.benchmark.report.summary import ARM, metric_column, rows
 from fuse_grounding.benchmark.statistics import Interval
 from fuse_grounding.config import Config
-from fuse_grounding.errors import InputError
-from fuse_grounding.registry import unknown
 
 _METRICS = (
     "iou",
@@ -28,17 +26,24 @@ _METRICS = (
 """The continuous metrics of the paper's table, and runtime."""
 
 
+def has(part: Part, wanted: str | None) -> bool:
+    """Whether an arm of the part has that label or method."""
+    return any(wanted in (a.label, a.method) for a in part.arms)
+
+
+def names(parts: Sequence[Part]) -> list[str]:
+    """What `has` knows, each once."""
+    return list(dict.fromkeys(name for p in parts for a in p.arms for name in (a.method, a.label)))
+
+
 def reference(part: Part, wanted: str | None = None) -> Arm:
     """The arm that the others are compared with.
 
-    `wanted` names a label or a method; without it, the arm at the default settings, FUSE before others.
-    Raises InputError for a name that no arm of the part has.
+    `wanted` is a label or a method that the part has; without it, the arm at the default settings, FUSE
+    before others.
     """
     if wanted is not None:
-        named = [a for a in part.arms if wanted in (a.label, a.method)]
-        if not named:
-            raise InputError(unknown("method", wanted, [a.label for a in part.arms]))
-        return _default(part, named)
+        return _default(part, [a for a in part.arms if wanted in (a.label, a.method)])
     fuse = [a for a in part.arms if a.method == "fuse"]
     return _default(part, fuse or list(reversed(part.arms)))
 

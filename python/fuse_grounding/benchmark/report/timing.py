@@ -197,9 +197,9 @@ def _bars(part: Part, found: Mapping[str, Latency]) -> Figure:
     plot = Plot(
         Axis("runtime, s per episode (mean)", 0, most * 1.12),
         Axis("", 0.4, len(arms) + 0.6, ticks=list(range(len(arms), 0, -1)), names=names),
-        width=720,
+        width=560,
         height=64 + 30 * len(arms),
-        left=min(240, 16 + int(6.8 * max(map(len, names)))),
+        left=min(200, 16 + int(6.8 * max(map(len, names)))),
     )
     for place, arm in zip(range(len(arms), 0, -1), arms, strict=True):
         profile, at = found[arm.label], 0.0
