@@ -14,8 +14,8 @@ from html import escape
 STYLES = 10
 """Number of series styles (colour and marker) that the style sheet knows."""
 
-_SMALL = 6.4
-"""Mean width of a character of a label, px at 12 px."""
+_SMALL = 7.4
+"""Mean width of a character of a label at 14 px, its size on a phone."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Plot:
         for rank, (dx, dy, anchor) in enumerate(_AROUND):
             x0 = px + dx - {"start": 0.0, "middle": length / 2, "end": length}[anchor]
             box = (x0, py + dy - 10, x0 + length, py + dy + 3)
-            outside = box[0] < left or box[2] > right + 10 or box[1] < top - 8 or box[3] > bottom
+            outside = box[0] < left or box[2] > right + 6 or box[1] < top - 8 or box[3] > bottom
             cost = rank + 1000 * outside + 10 * sum(_overlap(box, other) for other in self._taken)
             if best is None or cost < best[0]:
                 best, chosen = (cost, _text(px + dx, py + dy, words, anchor, "name")), box
