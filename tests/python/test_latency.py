@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from fuse_grounding.benchmark.latency import COMPONENTS, HOSTED, latency
+from fuse_grounding.benchmark.latency import COMPONENTS, latency
+from fuse_grounding.benchmark.metrics import HOSTED
 from fuse_grounding.errors import InputError
 
 

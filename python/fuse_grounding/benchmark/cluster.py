@@ -7,6 +7,7 @@ when it arrives, once a task, however often that was started.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -38,11 +39,11 @@ class RayEngine:
 
     def __enter__(self) -> RayEngine:
         if not self._ray.is_initialized():
-            where = (
-                {"address": self._address} if self._address else {"num_cpus": self._cpus or os.cpu_count()}
-            )
+            where: dict[str, Any] = {"address": self._address}
+            if self._address is None:
+                where = {"num_cpus": self._cpus or os.cpu_count(), "include_dashboard": False}
             try:
-                self._ray.init(**where, log_to_driver=False, include_dashboard=False, logging_level="error")
+                self._ray.init(**where, log_to_driver=False, logging_level=logging.ERROR)
             except Exception as error:
                 place, why = self._address or "this machine", str(error).splitlines()[0]
                 raise InputError(f"Ray cannot be reached or started on {place}: {why}") from None

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from statistics import mean, stdev
 from typing import Any
 
+from fuse_grounding.benchmark.metrics import HOSTED
 from fuse_grounding.errors import InputError
 
 Row = Mapping[str, Any]
@@ -45,9 +46,6 @@ COMPONENTS = {
 }
 """Components by stages of the stopwatch, in the order of the supplement's table, whose `sam3_grounding` is
 `segmentation` and `gs_refinement` `map_refinement`. `action_choice`, `final_evaluation`, `other` are ours."""
-
-HOSTED = "api"
-"""The stage in which a method waits for a hosted model: no part of the runtime (supplement)."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.agent import Agent, Session
-from fuse_grounding.benchmark.latency import HOSTED
 from fuse_grounding.benchmark.trace import Trace
 from fuse_grounding.environment import Episode, TabletopEnvironment
 from fuse_grounding.errors import UnusableError
@@ -59,7 +58,6 @@ def run_one(
         seconds = round(time.perf_counter() - began, 6)
         return {**row, **failure(error), "wall_seconds": seconds}
     told = {**judged.metrics, **_outcome(grounded), "calls": calls.counts, "trace": judged.step_rows()}
-    told["runtime_seconds"] = round(told["runtime_seconds"] - told["timings"].get(HOSTED, 0.0), 6)
     return {**row, "status": "ok", **told}
 
 

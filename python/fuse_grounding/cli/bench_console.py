@@ -42,9 +42,7 @@ class Teller:
                 MofNCompleteColumn(),
                 TextColumn("{task.fields[left]}"),
             )
-            # Standard output that goes elsewhere must not be drawn into the bar.
-            both = self.out.is_terminal
-            self._progress = Progress(*columns, console=self._err, transient=True, redirect_stdout=both)
+            self._progress = Progress(*columns, console=self._err, transient=True, redirect_stdout=False)
             self._progress.start()
             self._progress.add_task("", total=total, completed=done, left="")
 
@@ -56,11 +54,11 @@ class Teller:
         if self._progress is not None:
             self._progress.update(self._progress.task_ids[0], completed=self._done, left=left.strip())
             left = ""
-        self.out.print(f"{self._done:4d}/{self._total}  {row_line(row)}{left}")
+        self._say(f"{self._done:4d}/{self._total}  {row_line(row)}{left}")
 
     def note(self, sentence: str) -> None:
         """One line."""
-        self.out.print(f"note  {sentence}")
+        self._say(f"note  {sentence}")
 
     def table(self, table: Table) -> None:
         """Prints a table, not narrower than it needs."""
@@ -85,6 +83,11 @@ class Teller:
             f"interrupted: {self._done} of {self._total} results are in {self._folder / RESULTS}{errors}; "
             "the same command with --resume goes on"
         )
+
+    def _say(self, line: str) -> None:
+        """One line; above the bar where both are on one terminal."""
+        together = self._progress is not None and self.out.is_terminal
+        (self._err if together else self.out).print(line)
 
     def _left(self) -> str:
         each = (time.monotonic() - self._began) / (self._done - self._before)
