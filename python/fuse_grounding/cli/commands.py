@@ -24,6 +24,7 @@ app = typer.Typer(
 _COMMANDS = (
     "run",
     "bench",
+    "report",
     "episodes",
     "objects",
     "capture",
