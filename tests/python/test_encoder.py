@@ -461,3 +461,18 @@ def test_the_shipped_encoder_finds_the_label_of_what_it_never_saw():
     assert len(score.crops) >= 30
     assert score.top(5) > 0.3  # 0.11 by chance
     assert score.mean_rank() < 15  # 23 by chance
+
+
+def test_training_can_start_from_a_segmenters_backbone():
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from fuse_grounding.perception.embedded import DEFAULT_PATH
+    from fuse_grounding.training import encoder as training
+    from fuse_grounding.training import onnx_files
+
+    config = training.TrainConfig(pretrained=False, start="its hash")
+    phrases = np.eye(3, 128, dtype=np.float32)[None]
+    made = training.Training(("red", "green"), phrases, config, DEFAULT_PATH)
+    known, name = onnx_files.weights(DEFAULT_PATH), "backbone.blocks.9.expand.conv.weight"
+    for net in (made.net.state_dict(), made.average.weights, made.averaged().state_dict()):
+        assert torch.equal(net[name], known[name])

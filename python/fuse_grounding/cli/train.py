@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +9,7 @@ import typer
 from rich.console import Console
 
 from fuse_grounding import _core
+from fuse_grounding.benchmark.provenance import sha256
 from fuse_grounding.cli.console import writable_folder
 from fuse_grounding.cli.train_encoder import encoder
 from fuse_grounding.cli.train_planner import planner
@@ -78,7 +78,7 @@ def segmenter(
 
     trained = have(data / "train", render, seed)
     held_out = have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
-    start = None if warm is None else hashlib.sha256(warm.read_bytes()).hexdigest()
+    start = None if warm is None else sha256([warm])
     config = training.TrainConfig(steps=steps, workers=workers, seed=seed, start=start)
     run = training.Training(labels, config, warm)
     if warm is not None:

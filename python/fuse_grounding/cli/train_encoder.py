@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from fuse_grounding import _core, tensors
+from fuse_grounding.benchmark.provenance import sha256
 from fuse_grounding.cli.console import writable_folder
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
@@ -31,6 +32,10 @@ def encoder(
         int, typer.Option(min=0, help="Views of training scenes to have before training.")
     ] = 1536,
     steps: Annotated[int, typer.Option(min=1, help="Training steps of 16 pictures.")] = 2400,
+    warm: Annotated[
+        Path | None,
+        typer.Option("--from", help="segmenter.onnx whose backbone to start from, instead of ImageNet's."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=SCENE_SEED // 2, help="Seed of pictures and training.")] = 0,
 ) -> None:
     """Distil the text table, render pictures of training objects, train, export `encoder.onnx`."""
@@ -76,13 +81,14 @@ def encoder(
 
     have("randomised", render, lambda shard, n: _core.randomized_pictures(shard, n), seed)
     have("scenes", scenes, lambda shard, n: pictures.scene_pictures("train", shard, n), SCENE_SEED + seed)
-    config = training.TrainConfig(steps=steps, seed=seed)
+    start = None if warm is None else sha256([warm])
+    config = training.TrainConfig(steps=steps, seed=seed, start=start)
     said = [*(label for _, label in categories), training.BACKGROUND]
     inner = rotation()[:, :INNER]
     phrases = [[way.format(word) for word in said] for way in training.PHRASES]
     phrases.append([*labels, training.BACKGROUND])
     vectors = np.stack([text(words) @ inner for words in phrases])
-    run = training.Training(labels, vectors, config)
+    run = training.Training(labels, vectors, config, warm)
     batches = training.batches(pictures.Mixture(folders), len(labels), config)
     loop.train(run, batches, steps, out, "encoder", console.print)
     described = {
@@ -91,6 +97,7 @@ def encoder(
         "batch": config.batch,
         "minutes": round(run.seconds / 60, 1),
         "pictures": {"randomised": render, "scenes": scenes},
+        "from": start,
     }
     export.write(
         target, run.averaged(), table.read_bytes(), labels, config.size, training.BACKGROUND, described

@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from fuse_grounding.training import onnx_files
 from fuse_grounding.training.encoder_data import IGNORED, Mixture, Sample, make_sample
 from fuse_grounding.training.encoder_model import EncoderNet, Views
-from fuse_grounding.training.loop import NetworkRun, Recipe
+from fuse_grounding.training.loop import Average, NetworkRun, Recipe
 
 PHRASES = ("{}", "a {}", "a photo of a {}", "a {} on a table", "the {} over there")
 BACKGROUND = "background"
@@ -41,17 +43,32 @@ class TrainConfig(Recipe):
     weight_decay: float = 0.02
     warmup: int = 60
     ema: float = 0.996
+    start: str | None = None
 
 
 class Training(NetworkRun[EncoderNet]):
     """A run as `loop.train` drives it.
 
     `phrases` (P, labels + 1, inner): every label, then background, in each way of saying it, of unit length.
+    `backbone`: an exported segmenter whose backbone to start from, instead of ImageNet's; the configuration's
+    `start` is its hash.
     """
 
-    def __init__(self, labels: tuple[str, ...], phrases: np.ndarray, config: TrainConfig) -> None:
+    def __init__(
+        self,
+        labels: tuple[str, ...],
+        phrases: np.ndarray,
+        config: TrainConfig,
+        backbone: Path | None = None,
+    ) -> None:
         self.config = config
         super().__init__(lambda: EncoderNet(len(labels)), labels, config)
+        if backbone is not None:
+            known = onnx_files.weights(backbone)
+            with torch.no_grad():
+                for name, own in self.net.backbone.state_dict().items():
+                    own.copy_(known[f"backbone.{name}"])
+            self.average = Average(self.net, config.ema)
         self.phrases = torch.from_numpy(phrases)
 
     def advance(self, samples: list[Sample]) -> dict[str, float]:

@@ -1,4 +1,7 @@
-"""From a torch module to the bytes of an ONNX file with weights in half precision. Needs torch and onnx."""
+"""From a torch module to the bytes of an ONNX file with weights in half precision, and back to its weights.
+
+Needs torch and onnx.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +48,16 @@ def export(
     _halve(graph.graph)
     onnx.checker.check_model(graph)
     return graph.SerializeToString()
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    """The named weights of a file that `export` wrote of a network held as `net`, float32."""
+    return {
+        t.name.removesuffix("_half").removeprefix("net."): torch.from_numpy(
+            numpy_helper.to_array(t).astype(np.float32)
+        )
+        for t in onnx.load(path).graph.initializer
+    }
 
 
 def _halve(graph: onnx.GraphProto) -> None:

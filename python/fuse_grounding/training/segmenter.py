@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fuse_grounding.training import onnx_files
 from fuse_grounding.training.loop import Average, NetworkRun, Recipe
 from fuse_grounding.training.segmenter_data import Sample, Shards, make_sample
 from fuse_grounding.training.segmenter_loss import losses
@@ -78,7 +79,7 @@ class Training(NetworkRun[SegmenterNet]):
         """Takes the weights of an exported network over, wherever a tensor has the same shape, and the rows
         of the categories that both know.
         """
-        known = exported_weights(weights)
+        known = onnx_files.weights(weights)
         before = json.loads(weights.with_suffix(".json").read_text())["labels"]
         rows = [before.index(x) if x in before else -1 for x in self.labels]
         fresh = carry_over(self.net, known, rows, len(before))
@@ -98,20 +99,6 @@ def batches(shards: Shards, config: TrainConfig) -> Callable[[int], list[Sample]
         return batch
 
     return make
-
-
-def exported_weights(path: Path) -> dict[str, Tensor]:
-    """The named weights of an ONNX file that `to_onnx` wrote."""
-    import onnx
-    from onnx import numpy_helper
-
-    graph = onnx.load(path).graph
-    return {
-        t.name.removesuffix("_half").removeprefix("net."): torch.from_numpy(
-            numpy_helper.to_array(t).astype(np.float32)
-        )
-        for t in graph.initializer
-    }
 
 
 @torch.no_grad()
