@@ -1,10 +1,11 @@
-"""How good a segmenter is on pictures whose truth is known, and the calibration of its scores. NumPy only."""
+"""How good a segmenter is on pictures whose truth is known, and the calibration of its scores."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from fuse_grounding.perception.embedded import Candidates, EmbeddedSegmenter
@@ -19,6 +20,7 @@ class Found:
 
     category: str
     pixels: int
+    width: float  # of the visible part where it is widest, pixels: twice the greatest distance to its edge
     visible: float  # share of the object that other things leave in sight; NaN when not known
     returned_iou: float  # best mask that is returned for its label; 0 when none is
     first_iou: float  # highest scored mask of its label that no other object of the label explains better
@@ -88,13 +90,17 @@ def evaluate(segmenter: EmbeddedSegmenter, pictures: Iterable[Picture], min_scor
         score.right += right[returned].tolist()
         score.pictures += 1
         for j, o in enumerate(objects):
-            score.objects.append(_found(j, o, found, iou, returned, objects, labels))
+            width = 2.0 * float(
+                cv2.distanceTransform((picture[1] == o["id"]).astype(np.uint8), cv2.DIST_L2, 5).max()
+            )
+            score.objects.append(_found(j, o, width, found, iou, returned, objects, labels))
     return score
 
 
 def _found(
     j: int,
     o: dict,
+    width: float,
     found: Candidates,
     iou: np.ndarray,
     returned: np.ndarray,
@@ -118,6 +124,7 @@ def _found(
     return Found(
         category=o["category"],
         pixels=o["visible_px"],
+        width=width,
         visible=o["visible_px"] / o["unoccluded_px"] if o["unoccluded_px"] else float("nan"),
         returned_iou=float(iou[mine, j].max(initial=0.0)),
         first_iou=0.0 if first is None else float(iou[first, j]),
