@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.benchmark.identity import identity
+from fuse_grounding.benchmark.runner import head
 from fuse_grounding.benchmark.store import ResultStore
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, load_episodes
@@ -73,13 +74,7 @@ def make_row(
         calls |= {"refine": explicit, "render": explicit, "evidence": explicit}
     seconds = round(sum(timings.values()) + 0.01, 3)
     row = {
-        "index": index,
-        "method": method,
-        "episode_id": episode.episode_id,
-        "scene": episode.scene_id,
-        "query": episode.query,
-        "verb": episode.verb,
-        "seed": episode.seed,
+        **head(method, episode, index),
         "status": "ok",
         "success": won,
         "iou": overlap,

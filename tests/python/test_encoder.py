@@ -476,3 +476,23 @@ def test_training_can_start_from_a_segmenters_backbone():
     known, name = onnx_files.weights(DEFAULT_PATH), "backbone.blocks.9.expand.conv.weight"
     for net in (made.net.state_dict(), made.average.weights, made.averaged().state_dict()):
         assert torch.equal(net[name], known[name])
+
+
+def test_training_refuses_to_start_from_a_file_without_that_backbone(tmp_path: Path):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from fuse_grounding.perception.embedded import DEFAULT_PATH, crops_path
+    from fuse_grounding.training import encoder as training
+
+    config = training.TrainConfig(pretrained=False, start="its hash")
+    phrases = np.eye(3, 128, dtype=np.float32)[None]
+    broken = tmp_path / "broken.onnx"
+    broken.write_bytes(DEFAULT_PATH.read_bytes()[:5000])
+    cases = [
+        (broken, r"broken\.onnx is not an ONNX file"),
+        (tmp_path / "none.onnx", r"none\.onnx cannot be read: No such file"),
+        (crops_path(DEFAULT_PATH), r"segmenter_crops\.onnx has no backbone of a segmenter"),
+    ]
+    for path, message in cases:
+        with pytest.raises(InputError, match=message):
+            training.Training(("red", "green"), phrases, config, path)

@@ -19,6 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from fuse_grounding.errors import InputError
 from fuse_grounding.training import onnx_files
 from fuse_grounding.training.encoder_data import IGNORED, Mixture, Sample, make_sample
 from fuse_grounding.training.encoder_model import EncoderNet, Views
@@ -51,7 +52,7 @@ class Training(NetworkRun[EncoderNet]):
 
     `phrases` (P, labels + 1, inner): every label, then background, in each way of saying it, of unit length.
     `backbone`: an exported segmenter whose backbone to start from, instead of ImageNet's; the configuration's
-    `start` is its hash.
+    `start` is its hash. Raises InputError for a file without such a backbone.
     """
 
     def __init__(
@@ -67,7 +68,12 @@ class Training(NetworkRun[EncoderNet]):
             known = onnx_files.weights(backbone)
             with torch.no_grad():
                 for name, own in self.net.backbone.state_dict().items():
-                    own.copy_(known[f"backbone.{name}"])
+                    other = known.get(f"backbone.{name}")
+                    if other is None or other.shape != own.shape:
+                        raise InputError(
+                            f"{backbone} has no backbone of a segmenter: `{name}` is not as it should be"
+                        )
+                    own.copy_(other)
             self.average = Average(self.net, config.ema)
         self.phrases = torch.from_numpy(phrases)
 

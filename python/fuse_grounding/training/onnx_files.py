@@ -15,6 +15,8 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from fuse_grounding.errors import InputError
+
 OPSET = 17
 
 
@@ -51,12 +53,21 @@ def export(
 
 
 def weights(path: Path) -> dict[str, torch.Tensor]:
-    """The named weights of a file that `export` wrote of a network held as `net`, float32."""
+    """The named weights of a file that `export` wrote of a network held as `net`, float32.
+
+    Raises InputError for a file that cannot be read as ONNX.
+    """
+    try:
+        graph = onnx.load(path).graph
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except Exception as error:  # protobuf's own errors
+        raise InputError(f"{path} is not an ONNX file: {error}") from None
     return {
         t.name.removesuffix("_half").removeprefix("net."): torch.from_numpy(
             numpy_helper.to_array(t).astype(np.float32)
         )
-        for t in onnx.load(path).graph.initializer
+        for t in graph.initializer
     }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fuse_grounding.errors import InputError
 from fuse_grounding.training import onnx_files
 from fuse_grounding.training.loop import Average, NetworkRun, Recipe
 from fuse_grounding.training.segmenter_data import Sample, Shards, make_sample
@@ -77,10 +78,14 @@ class Training(NetworkRun[SegmenterNet]):
 
     def _start_from(self, weights: Path) -> list[str]:
         """Takes the weights of an exported network over, wherever a tensor has the same shape, and the rows
-        of the categories that both know.
+        of the categories that both know. Raises InputError.
         """
         known = onnx_files.weights(weights)
-        before = json.loads(weights.with_suffix(".json").read_text())["labels"]
+        settings = weights.with_suffix(".json")
+        try:
+            before = json.loads(settings.read_text())["labels"]
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{settings} must name the labels of {weights}: {error}") from None
         rows = [before.index(x) if x in before else -1 for x in self.labels]
         fresh = carry_over(self.net, known, rows, len(before))
         self.average = Average(self.net, self.config.ema)
