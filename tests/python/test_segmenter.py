@@ -293,18 +293,29 @@ def test_training_learns_resumes_to_the_same_bits_and_exports(tmp_path: Path):
     frames = [crops.frame_of(mask) for mask in masks]
     image = np.stack([crops.crop(rgb, m, f) for m, f in zip(masks, frames, strict=True)])
     geometry = np.stack([f.geometry for f in frames])
+    # Nothing copies a map to pad it.
+    import onnx
+
+    for file in (path, crops_path(path)):
+        assert not any(node.op_type == "Pad" for node in onnx.load(file).graph.node)
     session = onnxruntime.InferenceSession(crops_path(path).read_bytes(), providers=["CPUExecutionProvider"])
     ran = session.run(None, {"crops": image, "geometry": geometry})[0]
     with torch.no_grad():
         meant = second.averaged()(torch.from_numpy(image), torch.from_numpy(geometry)).numpy()
     assert np.abs(ran - meant).max() < 0.02
     # Weights of a network that knows fewer labels are a start.
+    from fuse_grounding.training import classifier
     from fuse_grounding.training import segmenter as training
     from fuse_grounding.training.loop import same_run
 
     wider = training.Training(("a_box", "new", "a_ball"), replace(run.config, start="0f"), path)
     assert all(name.startswith("verdict") for name in wider.fresh)
     assert wider.net.dense_class.weight[2].allclose(run.averaged().dense_class.weight[0], atol=1e-2)
+    wider_second = classifier.ClassifierTraining(("new", *LABELS), replace(second.config, start="0f"), path)
+    assert wider_second.fresh == []
+    out, before = wider_second.net.out.weight, second.averaged().out.weight
+    assert out[1:].allclose(before, atol=1e-2)
+    assert not out[0].allclose(before[0], atol=1e-2)
     with pytest.raises(InputError, match="other labels"):
         same_run(run.state(), ("b",), {}, tmp_path)
     with pytest.raises(InputError, match=r"trained with steps 50, not 60"):

@@ -1,9 +1,12 @@
 //! Strongly randomised tabletop pictures with their truth: what the segmenter learns from.
 //!
 //! A picture depends on its seed alone. Objects are fresh instances of one split's parameter
-//! range, any number of them; evaluation objects are refused. Surfaces of training pictures come
+//! range, any number of them; evaluation objects are refused. Part of the training objects are painted anew
+//! ([`paint`]); development pictures show theirs as they are. Surfaces of training pictures come
 //! from families (wood, brick, concrete, cloth, plaster) that the development and evaluation
 //! scenes mix with others; development pictures use only those others.
+
+mod paint;
 
 use std::cell::OnceCell;
 use std::f64::consts::TAU;
@@ -178,6 +181,11 @@ fn random_things(rng: &mut ChaCha8Rng, split: Split) -> Vec<Made> {
                 .iter()
                 .map(|pose| Rest { rotation: pose.rotation(), probability: pose.probability })
                 .collect();
+            let model = if split == Split::Train && rng.random::<f64>() < paint::SHARE {
+                paint::painted(model, rng)
+            } else {
+                model
+            };
             Some(Made { category, model: Arc::new(model), rests, solid: OnceCell::new() })
         })
         .collect()

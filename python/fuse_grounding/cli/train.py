@@ -81,11 +81,15 @@ def segmenter(
     start = None if warm is None else sha256([warm])
     config = training.TrainConfig(steps=steps, workers=workers, seed=seed, start=start)
     run = training.Training(labels, config, warm)
-    if warm is not None:
-        console.print(f"{warm}: {len(run.fresh)} tensors of the network start afresh: {', '.join(run.fresh)}")
+    # Weights of one network alone are a start too.
+    crops_warm = warm if warm is not None and crops_path(warm).is_file() else None
+    crops_start = None if crops_warm is None else sha256([crops_path(crops_warm)])
+    crop_config = classifier.ClassifierConfig(steps=crop_steps, workers=workers, seed=seed, start=crops_start)
+    second = classifier.ClassifierTraining(labels, crop_config, crops_warm)
+    for name, path, network in (("first", warm, run), ("second", crops_warm, second)):
+        fresh = "" if path is None else f", afresh: {', '.join(network.fresh) or 'nothing'}"
+        console.print(f"The {name} network starts from {path or 'ImageNet'}{fresh}")
     loop.train(run, training.batches(trained, config), steps, out, "network", console.print)
-    crop_config = classifier.ClassifierConfig(steps=crop_steps, workers=workers, seed=seed)
-    second = classifier.ClassifierTraining(labels, crop_config)
     loop.train(second, classifier.batches(trained, crop_config), crop_steps, out, "crops", console.print)
     target = out / DEFAULT_PATH.name
     described = {
@@ -96,6 +100,7 @@ def segmenter(
         "crop_steps": second.step,
         "crop_minutes": round(second.seconds / 60, 1),
         "from": start,
+        "crops_from": crops_start,
     }
     export.write(
         target,

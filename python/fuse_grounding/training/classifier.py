@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
+from fuse_grounding.perception.embedded import crops_path
 from fuse_grounding.training.classifier_data import Crop, training_crops
 from fuse_grounding.training.classifier_model import CropNet
 from fuse_grounding.training.loop import NetworkRun, Recipe
@@ -28,14 +30,23 @@ class ClassifierConfig(Recipe):
     warmup: int = 150
     ema: float = 0.997
     smoothing: float = 0.05
+    start: str | None = None
 
 
 class ClassifierTraining(NetworkRun[CropNet]):
-    """A run as `loop.train` drives it."""
+    """A run as `loop.train` drives it. `weights`: an exported segmenter whose second network to start from,
+    instead of ImageNet's; the configuration's `start` is that network's hash.
+    """
 
-    def __init__(self, labels: tuple[str, ...], config: ClassifierConfig) -> None:
+    PER_LABEL = ("out.",)
+
+    def __init__(
+        self, labels: tuple[str, ...], config: ClassifierConfig, weights: Path | None = None
+    ) -> None:
         self.config = config
         super().__init__(lambda: CropNet(len(labels)), labels, config)
+        if weights is not None:
+            self.start_from(crops_path(weights), weights.with_suffix(".json"))
 
     def advance(self, batch: list[Crop]) -> dict[str, float]:
         """One step of the optimiser; loss and share of right answers."""

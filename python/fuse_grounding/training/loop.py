@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from fuse_grounding import tensors
 from fuse_grounding.errors import InputError
+from fuse_grounding.training import onnx_files
 
 LOG_EVERY = 25
 SAVE_EVERY_SECONDS = 120
@@ -112,6 +113,8 @@ class NetworkRun(Generic[Net]):
 
     LARGEST_GRADIENT = 5.0
     """Norm to which gradients are cut."""
+    PER_LABEL: tuple[str, ...] = ()
+    """Beginnings of the names of layers with a row a label; other rows may follow."""
 
     def __init__(self, make: Callable[[], Net], labels: tuple[str, ...], recipe: Recipe) -> None:
         torch.manual_seed(recipe.seed)
@@ -131,8 +134,34 @@ class NetworkRun(Generic[Net]):
             weight_decay=recipe.weight_decay,
         )
         self.step, self.seconds = 0, 0.0
+        self.fresh: list[str] = []
+        """Names of the tensors for which weights to start from had none."""
         self._pool = ThreadPoolExecutor(recipe.workers)
         self._replicas = [self._replica() for _ in range(recipe.workers)]
+
+    def start_from(self, weights: Path, settings: Path) -> None:
+        """Takes the weights of an exported network over, wherever a tensor has the same shape, and the rows
+        of the labels that both know; `settings` names its labels. Raises InputError.
+        """
+        known = onnx_files.weights(weights)
+        try:
+            before = json.loads(settings.read_text())["labels"]
+            rows = [before.index(x) if x in before else -1 for x in self.labels]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"{settings} must name the labels of {weights}: {error}") from None
+        with torch.no_grad():
+            for name, own in self.net.state_dict().items():
+                other = known.get(name)
+                if other is not None and other.shape == own.shape:
+                    own.copy_(other)
+                elif other is not None and name.startswith(self.PER_LABEL):
+                    for i, k in enumerate(rows):
+                        if k >= 0:
+                            own[i] = other[k]
+                    own[len(rows) :] = other[len(before) :]
+                else:
+                    self.fresh.append(name)
+        self.average = Average(self.net, self.recipe.ema)
 
     def _replica(self) -> Net:
         """A network with the same parameters in memory and gradients of its own."""

@@ -14,6 +14,7 @@ import numpy as np
 import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
+from onnx.reference import ReferenceEvaluator
 
 from fuse_grounding.errors import InputError
 
@@ -47,6 +48,7 @@ def export(
             dynamo=False,
         )
         graph = onnx.load(exported)
+    _pad_within_convolutions(graph)
     _halve(graph.graph)
     onnx.checker.check_model(graph)
     return graph.SerializeToString()
@@ -69,6 +71,34 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
         )
         for t in graph.initializer
     }
+
+
+def _pad_within_convolutions(model: onnx.ModelProto) -> None:
+    """Gives the zeros around an input to the convolution that takes it: torch's own convolutions know no
+    asymmetric padding, and a node that pads copies the largest maps at every run.
+    """
+    graph = model.graph
+    named = onnx.ModelProto()
+    named.CopyFrom(model)
+    # The extractor wants a type for what it gives.
+    extractor = onnx.utils.Extractor(onnx.shape_inference.infer_shapes(named))
+    takers: dict[str, list[onnx.NodeProto]] = {}
+    for node in graph.node:
+        for name in node.input:
+            takers.setdefault(name, []).append(node)
+    for pad in [node for node in graph.node if node.op_type == "Pad"]:
+        (conv,) = takers[pad.output[0]]
+        mode = {a.name: helper.get_attribute_value(a) for a in pad.attribute}.get("mode", b"constant")
+        if conv.op_type != "Conv" or mode != b"constant" or any(pad.input[2:]):
+            continue
+        (amounts,) = ReferenceEvaluator(extractor.extract_model([], [pad.input[1]])).run(None, {})
+        around = np.asarray(amounts).reshape(2, -1)
+        if around[:, :2].any():
+            continue
+        (own,) = (a for a in conv.attribute if a.name == "pads")
+        own.ints[:] = [int(v) for v in around[:, 2:].reshape(-1) + np.array(own.ints)]
+        conv.input[0] = pad.input[0]
+        graph.node.remove(pad)
 
 
 def _halve(graph: onnx.GraphProto) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fuse_grounding.errors import InputError
-from fuse_grounding.training import onnx_files
-from fuse_grounding.training.loop import Average, NetworkRun, Recipe
+from fuse_grounding.training.loop import NetworkRun, Recipe
 from fuse_grounding.training.segmenter_data import Sample, Shards, make_sample
 from fuse_grounding.training.segmenter_loss import losses
 from fuse_grounding.training.segmenter_model import SegmenterNet
@@ -48,12 +45,13 @@ class Training(NetworkRun[SegmenterNet]):
     """
 
     LARGEST_GRADIENT = 8.0
+    PER_LABEL = ("dense_class.", "verdict_out.")
 
     def __init__(self, labels: tuple[str, ...], config: TrainConfig, weights: Path | None = None) -> None:
         self.config = config
         super().__init__(lambda: SegmenterNet(len(labels)), labels, config)
-        self.fresh = [] if weights is None else self._start_from(weights)
-        """Names of the tensors that `weights` had none for."""
+        if weights is not None:
+            self.start_from(weights, weights.with_suffix(".json"))
 
     def advance(self, samples: list[Sample]) -> dict[str, float]:
         """One step of the optimiser; the parts of the loss."""
@@ -76,21 +74,6 @@ class Training(NetworkRun[SegmenterNet]):
 
         return self.optimise(work, [batches[i::workers] for i in range(workers)])
 
-    def _start_from(self, weights: Path) -> list[str]:
-        """Takes the weights of an exported network over, wherever a tensor has the same shape, and the rows
-        of the categories that both know. Raises InputError.
-        """
-        known = onnx_files.weights(weights)
-        settings = weights.with_suffix(".json")
-        try:
-            before = json.loads(settings.read_text())["labels"]
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{settings} must name the labels of {weights}: {error}") from None
-        rows = [before.index(x) if x in before else -1 for x in self.labels]
-        fresh = carry_over(self.net, known, rows, len(before))
-        self.average = Average(self.net, self.config.ema)
-        return fresh
-
 
 def batches(shards: Shards, config: TrainConfig) -> Callable[[int], list[Sample]]:
     """What makes the batch of a step: it depends on the seed, the step and the pictures."""
@@ -104,21 +87,3 @@ def batches(shards: Shards, config: TrainConfig) -> Callable[[int], list[Sample]
         return batch
 
     return make
-
-
-@torch.no_grad()
-def carry_over(net: SegmenterNet, known: dict[str, Tensor], rows: list[int], before: int) -> list[str]:
-    """Copies what fits; rows of `dense_class` and `verdict_out` by category, -1 being new."""
-    fresh = []
-    for name, own in net.state_dict().items():
-        other = known.get(name)
-        if other is not None and other.shape == own.shape:
-            own.copy_(other)
-        elif other is not None and name.startswith(("dense_class.", "verdict_out.")):
-            for i, k in enumerate(rows):
-                if k >= 0:
-                    own[i] = other[k]
-            own[len(rows) :] = other[before:]
-        else:
-            fresh.append(name)
-    return fresh

@@ -266,8 +266,10 @@ class SegmenterNet(nn.Module):
         # The first layer is linear in the coordinates, so they need no map per instance.
         w_xy = w_xy.view(n, HIDDEN, 2) / 32.0
         b1 = b1 - (w_xy * center[:, None, :]).sum(2)
-        first = torch.cat([w_feature.view(n, HIDDEN, channels), w_xy], 2).reshape(n * HIDDEN, channels + 2)
-        hidden = F.relu((first @ torch.cat([features, positions])).view(n, HIDDEN, points) + b1[:, :, None])
+        # Nor does its bias, of which every pixel has one.
+        first = torch.cat([w_feature.view(n, HIDDEN, channels), w_xy, b1[:, :, None]], 2)
+        inputs = torch.cat([features, positions, torch.ones_like(positions[:1])])
+        hidden = F.relu((first.reshape(n * HIDDEN, channels + 3) @ inputs).view(n, HIDDEN, points))
         hidden = F.relu(w2.view(n, HIDDEN, HIDDEN) @ hidden + b2[:, :, None])
         return (w3.view(n, 1, HIDDEN) @ hidden)[:, 0] + b3
 
@@ -317,8 +319,8 @@ class Exported(nn.Module):
         enough = (score >= self.min_heat) | (torch.arange(self.candidates) == 0)
         score, index = score[enough], index[enough]
         cells = torch.stack([index % w, index // w], 1)
-        kernels = dense.kernels[0].reshape(KERNEL_SIZE, h * w).t()[index]
-        points = dense.point[0].reshape(PYRAMID, h * w).t()[index]
+        kernels = dense.kernels[0].reshape(KERNEL_SIZE, h * w).index_select(1, index).t()
+        points = dense.point[0].reshape(PYRAMID, h * w).index_select(1, index).t()
         features = dense.masks[0].reshape(MASK_CHANNELS, h * w * 16)
         positions = self.net.positions(h * 4, w * 4)
         logits = self.net.masks_at(features, positions, kernels, cells).view(-1, h * 4, w * 4)

@@ -33,3 +33,30 @@ fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
     assert!(one.iter().all(|p| p.objects.iter().all(|o| o.unoccluded_px >= o.visible_px)));
     assert!(one.iter().any(|p| p.objects.len() > 3));
 }
+
+#[test]
+fn paint_changes_looks_and_no_shape_and_leaves_the_marks_of_a_ruler() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut marked = 0;
+    for seed in 0..30 {
+        let before = objects::generate(Category::Ruler, Split::Train, seed).unwrap();
+        let after = paint::painted(before.clone(), &mut rng);
+        assert_eq!(before.meshes, after.meshes);
+        for (old, new) in before.materials.iter().zip(&after.materials).filter(|(old, new)| old != new) {
+            assert_eq!(old.name, new.name, "its name stands for a density");
+            let (old, new) = (old.base_color_texture.as_ref().unwrap(), new.base_color_texture.as_ref().unwrap());
+            if (old.width, old.height) == (new.width, new.height) {
+                // Neighbours along a row: where the old texture steps down sharply, the new one does too, but
+                // for where the pattern itself steps up.
+                let sum = |texel: [u8; 4]| texel[..3].iter().map(|v| i32::from(*v)).sum::<i32>();
+                let steps = |of: &fuse_render::Texture, i: usize| sum(of.texels[i + 1]) - sum(of.texels[i]);
+                let sharp: Vec<usize> = (0..old.texels.len() - 1).filter(|i| steps(old, *i) < -240).collect();
+                let kept = sharp.iter().filter(|i| steps(new, **i) < 0).count();
+                if sharp.len() > 20 && kept * 10 > sharp.len() * 8 {
+                    marked += 1;
+                }
+            }
+        }
+    }
+    assert!(marked >= 10, "{marked}");
+}
