@@ -78,18 +78,17 @@ def _pad_within_convolutions(model: onnx.ModelProto) -> None:
     asymmetric padding, and a node that pads copies the largest maps at every run.
     """
     graph = model.graph
-    named = onnx.ModelProto()
-    named.CopyFrom(model)
     # The extractor wants a type for what it gives.
-    extractor = onnx.utils.Extractor(onnx.shape_inference.infer_shapes(named))
+    extractor = onnx.utils.Extractor(onnx.shape_inference.infer_shapes(model))
     takers: dict[str, list[onnx.NodeProto]] = {}
     for node in graph.node:
         for name in node.input:
             takers.setdefault(name, []).append(node)
     for pad in [node for node in graph.node if node.op_type == "Pad"]:
-        (conv,) = takers[pad.output[0]]
+        conv = takers[pad.output[0]][0]
+        alone = len(takers[pad.output[0]]) == 1 and conv.op_type == "Conv"
         mode = {a.name: helper.get_attribute_value(a) for a in pad.attribute}.get("mode", b"constant")
-        if conv.op_type != "Conv" or mode != b"constant" or any(pad.input[2:]):
+        if not alone or mode != b"constant" or any(pad.input[2:]):
             continue
         (amounts,) = ReferenceEvaluator(extractor.extract_model([], [pad.input[1]])).run(None, {})
         around = np.asarray(amounts).reshape(2, -1)
