@@ -266,7 +266,7 @@ class SegmenterNet(nn.Module):
         # The first layer is linear in the coordinates, so they need no map per instance.
         w_xy = w_xy.view(n, HIDDEN, 2) / 32.0
         b1 = b1 - (w_xy * center[:, None, :]).sum(2)
-        # Nor does its bias, of which every pixel has one.
+        # Its bias is a column against ones: added apart, it would cost another pass over all of `hidden`.
         first = torch.cat([w_feature.view(n, HIDDEN, channels), w_xy, b1[:, :, None]], 2)
         inputs = torch.cat([features, positions, torch.ones_like(positions[:1])])
         hidden = F.relu((first.reshape(n * HIDDEN, channels + 3) @ inputs).view(n, HIDDEN, points))

@@ -2,8 +2,9 @@
 //! it: the holes of a colander and the dots of a plate are told apart by shape.
 //!
 //! Stripes, checks, scattered spots, blotches, a dipped edge and plain paint in any hue. What stood on the
-//! material before (grain, marks of a ruler) stays as light and dark. The patterns are none of the finishes
-//! by which development and evaluation objects differ from training's.
+//! material before (grain, marks of a ruler) stays as light and dark. No development or
+//! evaluation finish is drawn as it is, but some are like in kind (dots, check, gradient, pinstripe), and any hue is
+//! drawn: what stays apart between the splits are shapes and proportions, not colours and not the kinds of pattern.
 
 use std::f32::consts::TAU;
 use std::sync::Arc;
