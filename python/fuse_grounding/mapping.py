@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Protocol
 
@@ -24,6 +23,14 @@ class PointRegistrar(Registrar, Protocol):
 
     def points_by_id(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Ids (N,) int64, never given twice; positions (N, 3) metres; colours (N, 3) uint8."""
+        ...
+
+
+class ForkingRegistrar(PointRegistrar, Protocol):
+    """One of which a twin can be made."""
+
+    def fork(self) -> ForkingRegistrar:
+        """A twin that goes its own way from here. Raises InputError where that cannot be."""
         ...
 
 
@@ -87,15 +94,7 @@ class GaussianMap:
         twin = GaussianMap(registrar, self._config)
         twin._pictures, twin._known = list(self._pictures), set(self._known)
         twin._seeds, twin._taken, twin._refinements = self._seeds, self._taken, self._refinements
-        if self._trainer is not None:
-            cameras = [view.camera for view in self._registrar.views()][: self._taken]
-            with tempfile.TemporaryDirectory() as folder:
-                state = Path(folder) / "state"
-                self._trainer.save_checkpoint(state)
-                twin._trainer = splat.Trainer(self._trainer.gaussians, self._config, self._config.device)
-                for index, camera in enumerate(cameras):
-                    twin._trainer.add_view(self._pictures[index], camera)
-                twin._trainer.load_checkpoint(state)
+        twin._trainer = None if self._trainer is None else self._trainer.fork()
         return twin
 
     def render(self, camera: Camera) -> Rendering | None:

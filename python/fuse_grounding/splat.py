@@ -17,6 +17,7 @@ level of one CPU backend, or on one GPU: `device_name` and `Trainer.device` say 
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -308,6 +309,13 @@ class Trainer:
             whole("iterations", iterations), whole("following", following)
         )
         return RefineStats(**stats)
+
+    def fork(self) -> Trainer:
+        """A twin that goes its own way from here, as if each had been called alike so far; pictures of views
+        are shared, not copied."""
+        twin = copy.copy(self)
+        twin._inner = self._inner.fork()
+        return twin
 
     def save_checkpoint(self, path: str | os.PathLike[str], note: str = "") -> None:
         """Writes the whole state of the training, whole or not at all; `note` is kept for the caller."""

@@ -208,6 +208,10 @@ impl SplatTrainer {
             None => describe(py, &stats),
         }
     }
+    /// A twin that goes its own way from here.
+    fn fork(&self, py: Python<'_>) -> PyResult<Self> {
+        enter(py, || self.lock().map(|t| t.fork())).map(|twin| Self { inner: Mutex::new(twin) })
+    }
     fn gaussians(&self, py: Python<'_>) -> PyResult<Gaussians> {
         enter(py, || Ok::<_, SplatError>(self.lock()?.gaussians())).map(|inner| Gaussians { inner })
     }

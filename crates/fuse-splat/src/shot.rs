@@ -1,5 +1,7 @@
 //! A view to train on, at the resolutions at which it is looked at.
 
+use std::sync::Arc;
+
 use fuse_camera::simd::Level;
 use fuse_camera::{Camera, RgbBuffer};
 
@@ -10,15 +12,15 @@ use crate::{SplatError, TrainerConfig, checkpoint};
 /// Smaller than this, a side is not halved: windows of SSIM would see little but the rim.
 const SMALLEST: usize = 24;
 
-/// One picture with its camera.
-#[derive(Debug)]
+/// One picture with its camera. Clones share the picture.
+#[derive(Clone, Debug)]
 pub(crate) struct Shot {
     pub camera: Camera,
     /// Checksum of the picture.
     pub print: u32,
-    full: (View, Target),
+    full: (View, Arc<Target>),
     /// Half as wide and half as high; only where the schedule looks at it.
-    half: Option<(View, Target)>,
+    half: Option<(View, Arc<Target>)>,
     /// See [`TrainerConfig::matched_low_pass`].
     matched: bool,
 }
@@ -35,11 +37,11 @@ impl Shot {
         let half = if config.fine_iterations.is_some() && view.width.min(view.height) >= 2 * SMALLEST {
             let half = view.halved(matched);
             let target = crate::render::target(level, &halve(image)?, &half)?;
-            Some((half, target))
+            Some((half, Arc::new(target)))
         } else {
             None
         };
-        Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, target), half, matched })
+        Ok(Self { camera: *camera, print: checkpoint::print(image), full: (view, Arc::new(target)), half, matched })
     }
 
     /// Replaces the camera.

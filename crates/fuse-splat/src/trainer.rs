@@ -109,6 +109,27 @@ impl Trainer {
         Ok(Self { gpu: Some(crate::gpu::Engine::new(device)), ..Self::new(gaussians, config)? })
     }
 
+    /// A twin that goes its own way from here, as if each had been called alike so far. Views' pictures
+    /// are shared, Gaussians and moments copied.
+    #[must_use]
+    pub fn fork(&self) -> Self {
+        Self {
+            config: self.config.clone(),
+            level: self.level,
+            patient: self.patient.clone(),
+            views: self.views.clone(),
+            order: self.order.clone(),
+            rng: self.rng.clone(),
+            iteration: self.iteration,
+            steps: self.steps,
+            densify_due: self.densify_due,
+            reset_due: self.reset_due,
+            pipeline: Pipeline::new(self.level),
+            #[cfg(feature = "gpu")]
+            gpu: self.gpu.as_ref().map(crate::gpu::Engine::fork),
+        }
+    }
+
     /// What decides the last bits, as `cpu (avx2+fma)` or `gpu (NVIDIA L4, Vulkan)`.
     pub fn runs_on(&self) -> String {
         #[cfg(feature = "gpu")]

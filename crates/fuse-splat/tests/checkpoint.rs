@@ -57,6 +57,27 @@ fn a_training_cut_anywhere_ends_in_the_same_bits() {
 }
 
 #[test]
+fn a_fork_goes_on_as_its_trainer_would_and_neither_moves_the_other() {
+    let mut whole = trainer(config(), 5);
+    whole.refine(160).unwrap();
+    for cut in [1, 73, 120] {
+        let mut first = trainer(config(), 4);
+        let camera = scene::camera(80, 60, 4.0 * 0.35);
+        let picture = scene::picture(&scene::cloud(80, 21, 0.35, [0.03, 0.1], [1.0, 4.0]), &camera);
+        let mut twin = first.fork();
+        first.refine(30).unwrap();
+        twin.add_view(&picture, &camera).unwrap();
+        twin.refine_while(cut, 160 - cut, &mut || true).unwrap();
+        let mut second = twin.fork();
+        twin.set_camera(0, &scene::camera(80, 60, 0.01)).unwrap();
+        twin.refine(20).unwrap();
+        second.refine(160 - cut).unwrap();
+        assert_eq!(second.gaussians(), whole.gaussians(), "forked after {cut}");
+        assert_eq!((first.view_count(), first.iteration()), (4, 30));
+    }
+}
+
+#[test]
 fn a_view_is_as_new_after_a_checkpoint_as_before_and_steps_are_counted_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("state");

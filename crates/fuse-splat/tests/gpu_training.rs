@@ -221,7 +221,10 @@ fn a_checkpoint_continues_on_the_same_gpu_only() {
     let path = folder.path().join("checkpoint");
     first.refine(7).unwrap();
     first.save_checkpoint(&path, "").unwrap();
+    let mut twin = first.fork();
     first.refine(5).unwrap();
+    twin.refine(5).unwrap();
+    assert!(first.gaussians() == twin.gaussians(), "a fork continues otherwise");
     second.load_checkpoint(&path).unwrap();
     second.refine(5).unwrap();
     assert!(first.gaussians() == second.gaussians(), "it continues otherwise");

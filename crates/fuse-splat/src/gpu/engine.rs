@@ -4,6 +4,8 @@
 //! and resets of opacities are decided by `densify.rs` and `surgery.rs` on the CPU, from what the
 //! GPU gathered: that is every hundredth iteration, and the rule has one home.
 
+use std::sync::Arc;
+
 use fuse_camera::RgbBuffer;
 
 use super::arrays::table_words;
@@ -24,7 +26,7 @@ const LOSSES: usize = 1024;
 #[derive(Debug)]
 pub(crate) struct Engine {
     pipeline: Pipeline,
-    truths: Vec<Array>,
+    truths: Vec<Arc<Array>>,
     gaussians: usize,
     waiting: usize,
     losses: Vec<f64>,
@@ -35,12 +37,17 @@ impl Engine {
         Self { pipeline: Pipeline::new(device), truths: Vec::new(), gaussians: 0, waiting: 0, losses: Vec::new() }
     }
 
+    /// Another between two calls: the Gaussians are the caller's, the true images are shared.
+    pub fn fork(&self) -> Self {
+        Self { truths: self.truths.clone(), ..Self::new(&self.pipeline.device) }
+    }
+
     pub fn name(&self) -> &str {
         self.pipeline.device.name()
     }
 
     pub fn add_view(&mut self, image: &RgbBuffer) -> Result<(), SplatError> {
-        self.truths.push(truth(&self.pipeline.device, image)?);
+        self.truths.push(Arc::new(truth(&self.pipeline.device, image)?));
         Ok(())
     }
 
