@@ -125,6 +125,7 @@ class ColmapRegistrar:
         if self._world is None:
             self._give_up(seeds)
         self._refresh()
+        self._colour_points()
         missing = [i for i, view in enumerate(self.views()) if view.status != "colmap"]
         if missing and self._on_failure == "error":
             self._camera = None
@@ -156,6 +157,7 @@ class ColmapRegistrar:
             placed = None
         self._entries.append(_Entry(image_id, observation.camera, placed or self._fallback(observation)))
         self._refresh()
+        self._colour_points()
         return self.views()[-1]
 
     def fork(self) -> ColmapRegistrar:
@@ -202,9 +204,6 @@ class ColmapRegistrar:
         for row, point_id in enumerate(ids):
             point = model.point3D(point_id)
             xyz[row] = point.xyz
-            if point_id not in self._point_colours:
-                seen = [self._colours[e.image_id][e.point2D_idx] for e in point.track.elements]
-                self._point_colours[point_id] = np.rint(np.mean(seen, axis=0))
             rgb[row] = self._point_colours[point_id]
         return np.array(ids, np.int64), self._world.points(xyz), rgb.astype(np.uint8)
 
@@ -248,6 +247,15 @@ class ColmapRegistrar:
         """Brings every view to where the latest adjustment put it; one that it dropped, to its known pose."""
         for entry in self._entries:
             entry.placed = self._in_world(entry.image_id) or entry.known or entry.placed
+
+    def _colour_points(self) -> None:
+        """A new point has the mean colour of the views that it was found in, whenever it is asked for."""
+        if self._posed is not None:
+            return
+        for point_id, point in self._model.reconstruction.points3D.items():
+            if point_id not in self._point_colours:
+                seen = [self._colours[e.image_id][e.point2D_idx] for e in point.track.elements]
+                self._point_colours[point_id] = np.rint(np.mean(seen, axis=0))
 
     def _fallback(self, observation: Observation) -> Camera:
         if self._on_failure == "error":
