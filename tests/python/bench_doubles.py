@@ -108,6 +108,20 @@ def dying_once() -> Method:
     return Method("dying_once", _die_once)
 
 
+class Seldom(Walk):
+    """Maps in every second decision."""
+
+    def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
+        if situation.index % 2:
+            assert situation.scene is not None
+            situation.scene.refine(clock)
+        return super().decide(situation, clock)
+
+
+def seldom() -> Method:
+    return Method("seldom", lambda config, episode: Seldom(), maps=True)
+
+
 def taken() -> Method:
     return Method("static", lambda config, episode: Walk())
 

@@ -29,7 +29,7 @@ class Quiet:
     def __init__(self, first: Any = lambda: None):
         self._first, self.rows = first, 0
 
-    def opened(self, folder: Path, done: int, total: int) -> None:
+    def opened(self, done: int, total: int) -> None:
         pass
 
     def note(self, sentence: str) -> None:
@@ -80,6 +80,6 @@ def test_a_lost_node_loses_nothing_and_doubles_nothing(cluster: Any, tmp_path: P
     outcome = run_benchmark(plan, Means(RayEngine, "ray", None), heard)
     assert heard.rows == len(outcome.rows) == 4
     assert all(row["status"] == "ok" for row in outcome.rows)
-    alone = Means(lambda setup: Processes(setup, 1), "local", 1)
+    alone = Means(lambda setups: Processes(setups, 1), "local", 1)
     run_benchmark(Plan(tmp_path / "alone", CONFIG, episodes, methods), alone, Quiet())
     assert untimed(tmp_path / "ray") == untimed(tmp_path / "alone")

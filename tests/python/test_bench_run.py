@@ -150,7 +150,7 @@ def test_an_interrupt_stops_the_workers_and_says_how_to_go_on(tmp_path: Path):
     _, stderr = child.communicate(timeout=30)
     assert child.returncode == 130
     done = len(rows(out))
-    assert f"interrupted: {done} of 6 results are in {out / RESULTS}; the same command with --resume" in (
+    assert f"interrupted: {done} of 6 results are in {out}; the same command with --resume" in (
         stderr.replace("\n", " ")
     )
     assert "Traceback" not in stderr

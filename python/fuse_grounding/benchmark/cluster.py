@@ -30,12 +30,12 @@ class RayEngine:
     A Ray that the caller has initialised is used as it is. See `worker.Engine`.
     """
 
-    def __init__(self, setup: Setup, address: str | None = None, cpus: int | None = None):
-        self._setup, self._address, self._cpus = setup, address, cpus
+    def __init__(self, setups: Sequence[Setup], address: str | None = None, cpus: int | None = None):
+        self._setups, self._address, self._cpus = tuple(setups), address, cpus
         self._ray: Any = require("ray", "ray", "--engine ray")
         self._ours = False
         self._pending: list[Any] = []
-        self._loaded: Loaded | None = None
+        self._loaded: tuple[Loaded, ...] | None = None
 
     def __enter__(self) -> RayEngine:
         if not self._ray.is_initialized():
@@ -58,20 +58,22 @@ class RayEngine:
             self._ray.shutdown()
             self._ours = False
 
-    def load(self) -> Loaded:
-        """What the first worker has. Raises InputError for what cannot be loaded."""
+    def load(self) -> tuple[Loaded, ...]:
+        """What the first worker has of each part. Raises InputError for what cannot be loaded."""
         if self._loaded is None:
-            self._loaded = self._content(self._remote(_describe).remote(self._setup))
+            self._loaded = self._content(self._remote(_describe).remote(self._setups))
         assert self._loaded is not None
         return self._loaded
 
     def run(self, tasks: Sequence[Task]) -> Iterator[Done]:
         """Every task once, in the order in which they end. Raises InputError for what concerns all."""
         ray, play = self._ray, self._remote(_play)
-        setup, expected = ray.put(self._setup), ray.put(_decisive(self.load()))
+        setups, expected = ray.put(self._setups), ray.put(_decisive(self.load()))
         # Methods share an episode, which lies in the cluster once.
         episodes = {task.index: ray.put(task.episode) for task in tasks}
-        named = {play.remote(setup, expected, t.index, t.method, episodes[t.index]): t for t in tasks}
+        named = {
+            play.remote(setups, expected, t.part, t.index, t.method, episodes[t.index]): t for t in tasks
+        }
         self._pending = list(named)
         while self._pending:
             (ready,), self._pending = ray.wait(self._pending, num_returns=1)
@@ -79,7 +81,7 @@ class RayEngine:
                 done = self._content(ready)
             except _LostError as loss:
                 why = f"what ran it was lost {RETRIES + 1} times ({loss})"
-                done = dead(self._setup, named[ready], why)
+                done = dead(self._setups[named[ready].part], named[ready], why)
             yield done
 
     def _remote(self, function: Any) -> Any:
@@ -105,38 +107,50 @@ class _LostError(Exception):
 
 # -- on the nodes ----------------------------------------------------------------------------------
 
-_kept: tuple[Setup, Worker] | None = None
+_kept: tuple[tuple[Setup, ...], Worker] | None = None
 """This process's agents, with what they were loaded for."""
 
 
-def _worker(setup: Setup) -> Worker:
+def _worker(setups: tuple[Setup, ...]) -> Worker:
     global _kept
-    if _kept is None or _kept[0] != setup:
+    if _kept is None or _kept[0] != setups:
         os.environ["RAYON_NUM_THREADS"] = "1"  # a task has one processor; native threads start later
-        _kept = (setup, Worker(setup))
+        _kept = (setups, Worker(setups))
     return _kept[1]
 
 
-def _describe(setup: Setup) -> Answer:
+def _describe(setups: tuple[Setup, ...]) -> Answer:
     try:
-        return "loaded", _worker(setup).loaded
+        return "loaded", _worker(setups).loaded
     except InputError as error:
         return "refused", str(error)
 
 
-def _play(setup: Setup, expected: Mapping[str, Any], index: int, method: str, episode: Episode) -> Answer:
+def _play(
+    setups: tuple[Setup, ...],
+    expected: Mapping[str, Any],
+    part: int,
+    index: int,
+    method: str,
+    episode: Episode,
+) -> Answer:
     try:
-        worker = _worker(setup)
+        worker = _worker(setups)
         how = first_difference(_decisive(worker.loaded), expected, "methods")
         if how is not None:
             return "refused", (
                 f"nodes of the cluster would give rows of two identities ({how}): give all the same "
                 "packages, weights and devices, and with FUSE_SIMD the same level"
             )
-        return "done", worker.run(Task(index, method, episode))
+        return "done", worker.run(Task(part, index, method, episode))
     except InputError as error:
         return "refused", str(error)
 
 
-def _decisive(loaded: Loaded) -> dict[str, Any]:
-    return {name: decisive(provenance) for name, provenance in loaded.provenances.items()}
+def _decisive(loaded: Sequence[Loaded]) -> dict[str, Any]:
+    """By part and method."""
+    return {
+        f"{part}.{name}": decisive(provenance)
+        for part, one in enumerate(loaded)
+        for name, provenance in one.provenances.items()
+    }

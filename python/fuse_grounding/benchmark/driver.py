@@ -1,9 +1,10 @@
-"""A whole benchmark: what is missing in the folder is run by an engine, and written as it comes."""
+"""A whole benchmark: what is missing in its folders is run by an engine, and written as it comes."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -25,9 +26,8 @@ class Plan:
     """One benchmark folder to fill: every method over every episode.
 
     `methods` are names or `package.module:factory`; `optional` ones need something that does not ship, and
-    are left out, with the reason, where they cannot be loaded. `notes` are kept in `bench.json`. Rows of the
-    folders `siblings` are taken over where they were decided by the same. `gallery` is the number of
-    episodes whose pictures are kept.
+    are left out, with the reason, where they cannot be loaded. `notes` are kept in `bench.json`. `gallery` is
+    the number of episodes whose pictures are kept.
     """
 
     out: Path
@@ -36,16 +36,16 @@ class Plan:
     methods: Sequence[str]
     optional: Sequence[str] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
-    siblings: Sequence[Path] = ()
     gallery: int = 0
     resume: bool = False
 
 
 @dataclass(frozen=True)
 class Means:
-    """How episodes are run: `engine` makes one for a setup; `name` and `jobs` are for the provenance."""
+    """How episodes are run: `engine` makes one for the setups of all parts; `name` and `jobs` are
+    for the provenance."""
 
-    engine: Callable[[Setup], Engine]
+    engine: Callable[[Sequence[Setup]], Engine]
     name: str
     jobs: int | None
 
@@ -58,8 +58,8 @@ class Means:
 class Listener(Protocol):
     """Told how a benchmark goes."""
 
-    def opened(self, folder: Path, done: int, total: int) -> None:
-        """The folder is open, and has `done` of `total` rows."""
+    def opened(self, done: int, total: int) -> None:
+        """The folders are open, and `done` of `total` rows are there."""
         ...
 
     def row(self, row: Row) -> None:
@@ -90,80 +90,117 @@ def names_of(references: Sequence[str]) -> dict[str, str]:
 
 
 def run_benchmark(plan: Plan, means: Means, listener: Listener) -> Outcome:
-    """Runs what is missing. Results do not depend on `means`, timings aside.
+    """`run_benchmarks` of a single plan."""
+    (outcome,) = run_benchmarks([plan], means, listener)
+    return outcome
 
-    Raises InputError for a folder that cannot be gone on with and for what no episode can run with,
-    FuseError when the disk refuses. Interrupted, the folder keeps all rows so far.
+
+def run_benchmarks(plans: Sequence[Plan], means: Means, listener: Listener) -> list[Outcome]:
+    """Runs what is missing of the plans, episode by episode, so that they can share what an episode takes.
+
+    What is decided by the same in several plans is run once. Results do not depend on `means`, timings aside.
+    A plan of which nothing could be loaded leaves no folder. Raises InputError for a folder that cannot be
+    gone on with and for what no episode can run with, FuseError when the disk refuses. Interrupted, the
+    folders keep all rows so far.
     """
-    store.check(plan.out, plan.resume)
+    for plan in plans:
+        store.check(plan.out, plan.resume)
+    with means.engine([_setup(plan, means) for plan in plans]) as engine, ExitStack() as folders:
+        parts = []
+        for number, (plan, loaded) in enumerate(zip(plans, engine.load(), strict=True)):
+            parts.append(_Part(number, plan, loaded))
+            if loaded.provenances:
+                parts[-1].rows = folders.enter_context(_opened(plan, loaded, means, listener))
+        _run(parts, engine, listener)
+        return [Outcome(part.outcome(), part.loaded.refused) for part in parts]
+
+
+@dataclass
+class _Part:
+    """A plan under way; `rows` is its folder, None where nothing could be loaded."""
+
+    number: int
+    plan: Plan
+    loaded: Loaded
+    rows: ResultStore | None = None
+
+    def tasks(self) -> Iterator[tuple[str, Task]]:
+        """What the plan asks for, with its stamp."""
+        if self.rows is not None:
+            for index, episode in enumerate(self.plan.episodes):
+                for name in self.loaded.provenances:
+                    stamp = self.rows.stamp(name, episode.episode_id)
+                    yield stamp, Task(self.number, index, name, episode)
+
+    def outcome(self) -> list[Row]:
+        """The rows that the plan asks for, in order."""
+        if self.rows is None:
+            return []
+        ids = {episode.episode_id for episode in self.plan.episodes}
+        names = self.loaded.provenances
+        return [r for r in self.rows.rows if r["method"] in names and r["episode_id"] in ids]
+
+
+def _setup(plan: Plan, means: Means) -> Setup:
     required = names_of([m for m in plan.methods if m not in plan.optional])
-    setup = Setup(
+    # Optional methods go by their reference until they are found: one may not even exist.
+    optional = {name: name for name in plan.methods if name in plan.optional}
+    return Setup(
         config=plan.settings.to_dict(),
-        methods={**required, **_optional_names(plan)},
+        methods={**required, **optional},
         optional=frozenset(plan.optional),
         concurrent=means.concurrent,
         gallery=str(plan.out.absolute() / gallery.FOLDER) if plan.gallery else None,
         gallery_episodes=plan.gallery,
         path=(str(Path.cwd()), *(place for place in sys.path if place)),
     )
-    with means.engine(setup) as engine:
-        loaded = engine.load()
-        if not loaded.provenances:
-            return Outcome([], loaded.refused)
-        return _run(plan, means, listener, engine, loaded)
 
 
-def _optional_names(plan: Plan) -> dict[str, str]:
-    """Optional methods go by their reference until they are found: one may not even exist."""
-    return {name: name for name in plan.methods if name in plan.optional}
-
-
-def _run(plan: Plan, means: Means, listener: Listener, engine: Engine, loaded: Loaded) -> Outcome:
+def _opened(plan: Plan, loaded: Loaded, means: Means, listener: Listener) -> ResultStore:
     decided = identity(plan.settings, plan.episodes, loaded.provenances)
-    not_run = [*plan.notes.get("not_run", ()), *_entries(loaded.refused)]
-    notes = {**plan.notes, "not_run": not_run}
-    whence = _provenance(loaded, means)
-    with ResultStore(plan.out, decided, whence, plan.resume, notes) as rows:
-        for sentence in rows.announcements:
+    notes = {**plan.notes, "not_run": [*plan.notes.get("not_run", ()), *_entries(loaded.refused)]}
+    rows = ResultStore(plan.out, decided, _provenance(loaded, means), plan.resume, notes)
+    for sentence in rows.announcements:
+        listener.note(sentence)
+    return rows
+
+
+def _run(parts: Sequence[_Part], engine: Engine, listener: Listener) -> None:
+    """Every stamp once: its row goes to all parts that ask for it."""
+    asked: dict[str, list[tuple[ResultStore, Task]]] = {}
+    for part in parts:
+        for stamp, task in part.tasks():
+            assert part.rows is not None
+            asked.setdefault(stamp, []).append((part.rows, task))
+    left = {stamp: places for stamp, places in asked.items() if not _there(places)}
+    listener.opened(len(asked) - len(left), len(asked))
+    if doubles := sum(len(places) - 1 for places in left.values()):
+        listener.note(f"{doubles} rows are asked for by several parts, and are run once")
+    first = {(t.part, t.index, t.method): places for places in left.values() for _, t in places[:1]}
+    tasks = sorted((places[0][1] for places in left.values()), key=lambda task: task.index)
+    for done in engine.run(tasks):
+        (rows, _), *others = first[done.part, done.row["index"], done.row["method"]]
+        row = rows.append(done.row)
+        for more, _ in others:
+            more.adopt(row)
+        listener.row(row)
+        for sentence in done.notes:
             listener.note(sentence)
-        names = list(loaded.provenances)
-        tasks = [
-            Task(index, name, episode)
-            for index, episode in enumerate(plan.episodes)
-            for name in names
-            if not rows.done(name, episode.episode_id)
-        ]
-        tasks = _taken_over(tasks, plan.siblings, rows, listener)
-        total = len(plan.episodes) * len(names)
-        listener.opened(plan.out, total - len(tasks), total)
-        for done in engine.run(tasks):
-            listener.row(rows.append(done.row))
-            for sentence in done.notes:
-                listener.note(sentence)
-        rows.finish()
-        ids = {e.episode_id for e in plan.episodes}
-        mine = [r for r in rows.rows if r["method"] in names and r["episode_id"] in ids]
-        return Outcome(mine, loaded.refused)
+    for part in parts:
+        if part.rows is not None:
+            part.rows.finish()
 
 
-def _taken_over(
-    tasks: Sequence[Task], siblings: Sequence[Path], rows: ResultStore, listener: Listener
-) -> list[Task]:
-    """Adopts what sibling folders have of the tasks; those that are left."""
-    theirs: dict[str, Row] = {}
-    for folder in siblings:
-        if store.has_results(folder):
-            theirs |= {row["identity"]: row for row in store.load(folder)[1] if row["status"] == "ok"}
-    left = []
-    for task in tasks:
-        row = theirs.get(rows.stamp(task.method, task.episode.episode_id))
-        if row is None:
-            left.append(task)
-        else:
-            rows.adopt(row)
-    if len(left) < len(tasks):
-        listener.note(f"{len(tasks) - len(left)} rows are those of other parts with the same identity")
-    return left
+def _there(places: Sequence[tuple[ResultStore, Task]]) -> bool:
+    """Whether one of the places has the row; then all have it."""
+    found = [rows.row(task.method, task.episode.episode_id) for rows, task in places]
+    done = next((row for row in found if row is not None and row["status"] == "ok"), None)
+    if done is None:
+        return False
+    for (rows, _), row in zip(places, found, strict=True):
+        if row is None or row["status"] != "ok":
+            rows.adopt(done)
+    return True
 
 
 def _entries(refused: Mapping[str, str]) -> list[dict[str, str]]:

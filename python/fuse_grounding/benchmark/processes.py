@@ -25,10 +25,10 @@ _ATTEMPTS = 2
 class Processes:
     """`jobs` worker processes, started as there is work for them; see `worker.Engine`."""
 
-    def __init__(self, setup: Setup, jobs: int):
-        self._setup, self._jobs = setup, jobs
+    def __init__(self, setups: Sequence[Setup], jobs: int):
+        self._setups, self._jobs = setups, jobs
         self._children: list[_Child] = []
-        self._loaded: Loaded | None = None
+        self._loaded: tuple[Loaded, ...] | None = None
 
     def __enter__(self) -> Processes:
         return self
@@ -38,19 +38,20 @@ class Processes:
             child.kill()
         self._children.clear()
 
-    def load(self) -> Loaded:
+    def load(self) -> tuple[Loaded, ...]:
         """What the first worker has. Raises InputError for what cannot be loaded, FuseError if it dies."""
         if self._loaded is None:
             if not self._children:
-                self._children.append(_Child(self._setup, threads_each(self._jobs)))
+                self._children.append(_Child(self._setups, threads_each(self._jobs)))
             while self._loaded is None:
                 self._hear(self._children[0])
         return self._loaded
 
     def run(self, tasks: Sequence[Task]) -> Iterator[Done]:
-        """Every task once, in the order in which they end. Raises InputError for what concerns all of
-        them, FuseError when a worker dies while it loads."""
-        waiting, deaths = deque(tasks), Counter[tuple[int, str]]()
+        """Every task once, in the order in which they end; a worker keeps to an episode as long as there are
+        tasks of it. Raises InputError for what concerns all of them, FuseError when a worker dies while it
+        loads."""
+        waiting, deaths = deque(tasks), Counter[tuple[int, int, str]]()
         while waiting or any(child.task for child in self._children):
             self._staff(waiting)
             for connection in wait([child.connection for child in self._children]):
@@ -60,12 +61,13 @@ class Processes:
                     done = self._hear(child)
                 except _DeadError as death:
                     assert task is not None
-                    deaths[task.index, task.method] += 1
-                    if deaths[task.index, task.method] < _ATTEMPTS:
+                    which = task.part, task.index, task.method
+                    deaths[which] += 1
+                    if deaths[which] < _ATTEMPTS:
                         waiting.appendleft(task)
                         continue
                     why = f"the process that ran it died {_ATTEMPTS} times ({_told(death.code)})"
-                    done = dead(self._setup, task, why)
+                    done = dead(self._setups[task.part], task, why)
                 if done is not None:
                     self._staff(waiting)  # nobody is idle while the row is written
                     yield done
@@ -74,10 +76,20 @@ class Processes:
         """Hands out work, and starts workers where there is more work than workers."""
         for child in self._children:
             if child.ready and child.task is None and waiting:
-                child.give(waiting.popleft())
+                child.give(self._chosen(child, waiting))
         unready = sum(not child.ready for child in self._children)
         for _ in range(min(self._jobs - len(self._children), len(waiting) - unready)):
-            self._children.append(_Child(self._setup, threads_each(self._jobs)))
+            self._children.append(_Child(self._setups, threads_each(self._jobs)))
+
+    def _chosen(self, child: _Child, waiting: deque[Task]) -> Task:
+        """Takes a task of the child's episode, else of one that no other is at, else the first."""
+        elsewhere = {c.episode for c in self._children if c is not child}
+        mine = (i for i, task in enumerate(waiting) if task.index == child.episode)
+        nobodys = (i for i, task in enumerate(waiting) if task.index not in elsewhere)
+        place = next(mine, next(nobodys, 0))
+        task = waiting[place]
+        del waiting[place]
+        return task
 
     def _hear(self, child: _Child) -> Done | None:
         """The next message of a worker; None where it is no row. Raises InputError, FuseError, _DeadError."""
@@ -117,11 +129,12 @@ class _DeadError(Exception):
 class _Child:
     """A worker process as its parent sees it."""
 
-    def __init__(self, setup: Setup, threads: int):
+    def __init__(self, setups: Sequence[Setup], threads: int):
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, setup, threads))
+        self._process = context.Process(target=_serve, args=(theirs, setups, threads))
         self.task: Task | None = None
+        self.episode: int | None = None
         self.ready = False
         # An interrupt of the terminal reaches the whole group, also one that is still importing.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -133,7 +146,7 @@ class _Child:
 
     def give(self, task: Task) -> None:
         """Hands over a task; that the worker is gone is noticed when it is heard."""
-        self.task = task
+        self.task, self.episode = task, task.index
         with suppress(OSError):
             self.connection.send(task)
 
@@ -150,7 +163,7 @@ class _Child:
         self.connection.close()
 
 
-def _serve(connection: Connection, setup: Setup, threads: int) -> None:
+def _serve(connection: Connection, setups: Sequence[Setup], threads: int) -> None:
     """A worker's life: load, then a row for every task."""
     settle(threads)
 
@@ -158,7 +171,7 @@ def _serve(connection: Connection, setup: Setup, threads: int) -> None:
         connection.send((kind, content))
 
     try:
-        worker = Worker(setup)
+        worker = Worker(setups)
         tell("loaded", worker.loaded)
         while True:
             tell("done", worker.run(connection.recv()))

@@ -6,13 +6,13 @@ missing, it is listed with the reason under `not_run` of the group's folders, ne
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fuse_grounding.benchmark import store
-from fuse_grounding.benchmark.driver import Listener, Means, Outcome, Plan, run_benchmark
+from fuse_grounding.benchmark.driver import Listener, Means, Outcome, Plan, run_benchmarks
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
 from fuse_grounding.errors import InputError
@@ -83,7 +83,7 @@ def plans(
     gallery: int = 0,
     resume: bool = False,
 ) -> list[Plan]:
-    """A plan for every part, in `out`/PART. A part takes over rows of others that were decided by the same.
+    """A plan for every part, in `out`/PART.
 
     `settings` are changed as each part says. Pictures are kept of the group `main` alone. Raises InputError
     for an unknown suite, and for a folder in use without `resume`.
@@ -100,7 +100,6 @@ def plans(
             methods=part.methods,
             optional=part.optional,
             notes={"suite": suite, "part": part.name, "group": group},
-            siblings=[out / other.name for _, other in grouped if other.name != part.name],
             gallery=gallery if group == "main" else 0,
             resume=resume,
         )
@@ -108,22 +107,21 @@ def plans(
     ]
 
 
-def run(parts: Sequence[Plan], means: Means, listener: Listener) -> Iterator[tuple[Plan, Outcome]]:
-    """Runs plans one after the other; see `run_benchmark`.
+def run(parts: Sequence[Plan], means: Means, listener: Listener) -> list[Outcome]:
+    """Runs plans together; see `run_benchmarks`.
 
     A part of which nothing could be loaded leaves no folder: it is listed in those of its group. One that has
     results nevertheless, made by hand, is left alone.
     """
+    outcomes = run_benchmarks(parts, means, listener)
     for group in dict.fromkeys(plan.notes["group"] for plan in parts):
-        mine = [plan for plan in parts if plan.notes["group"] == group]
-        not_run = []
-        for plan in mine:
-            listener.note(f"part {plan.out.name}")
-            outcome = run_benchmark(plan, means, listener)
-            if not outcome.rows and not store.has_results(plan.out):
-                reason = next(iter(outcome.refused.values()))
-                not_run.append({"name": plan.notes["part"], "reason": reason})
-            yield plan, outcome
-        for plan in mine:
+        mine = [(plan, o) for plan, o in zip(parts, outcomes, strict=True) if plan.notes["group"] == group]
+        not_run = [
+            {"name": plan.notes["part"], "reason": next(iter(outcome.refused.values()))}
+            for plan, outcome in mine
+            if not outcome.rows and not store.has_results(plan.out)
+        ]
+        for plan, _ in mine:
             if not_run and store.has_results(plan.out):
                 store.list_not_run(plan.out, not_run)
+    return outcomes

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from fuse_grounding.benchmark import store, suites
-from fuse_grounding.benchmark.driver import Means, Outcome, Plan, run_benchmark
+from fuse_grounding.benchmark.driver import Means, Outcome, Plan, run_benchmarks
 from fuse_grounding.benchmark.latency import latency
 from fuse_grounding.benchmark.methods import METHODS
 from fuse_grounding.benchmark.processes import Processes
@@ -68,7 +68,7 @@ def command(
 ) -> None:
     """Run methods over a set of episodes, or a suite of them; docs/benchmark.md."""
     if timing and episodes is methods is suite is None and store.has_results(out):
-        values = _tables(store.load(out)[1], True, Teller(quiet=as_json))
+        values = _tables(store.load(out)[1], True, Teller(out, quiet=as_json))
         if as_json:
             print_json(values)
         return
@@ -89,26 +89,18 @@ def command(
         parts = [_plan(out, settings, chosen, methods or _METHODS, gallery, resume)]
     else:
         parts = suites.plans(suite, out, settings, chosen, gallery=gallery, resume=resume)
-    teller = Teller(quiet=as_json)
+    teller = Teller(out, quiet=as_json)
     try:
-        if suite is None:
-            plan = _plan(out, settings, chosen, methods or _METHODS, gallery, resume)
-            ran = [(plan, run_benchmark(plan, means, teller))]
-            told: Any = _told(*ran[0], timing, teller)
-        else:
-            parts = suites.plans(suite, out, settings, chosen, gallery=gallery, resume=resume)
-            ran, told = [], {}
-            for plan, outcome in suites.run(parts, means, teller):
-                ran.append((plan, outcome))
-                told[plan.out.name] = _told(plan, outcome, timing, teller)
+        ran = run_benchmarks(parts, means, teller) if suite is None else suites.run(parts, means, teller)
     except KeyboardInterrupt:
         teller.interrupted()
         raise typer.Exit(130) from None
     finally:
         teller.close()
+    told = {p.out.name: _told(p, outcome, timing, teller) for p, outcome in zip(parts, ran, strict=True)}
     if as_json:
-        print_json(told)
-    if any(row["status"] != "ok" for _, outcome in ran for row in outcome.rows):
+        print_json(told if suite is not None else told[out.name])
+    if any(row["status"] != "ok" for outcome in ran for row in outcome.rows):
         raise typer.Exit(1)
 
 
@@ -145,7 +137,6 @@ def _means(engine: str, jobs: int | None, timing: bool, gallery: int) -> Means:
 
 def _told(plan: Plan, outcome: Outcome, timing: bool, teller: Teller) -> list[Any]:
     """Prints a part's table; its values."""
-    teller.close()
     for name, reason in outcome.refused.items():
         teller.note(f"{name} was not run: {reason}")
     if outcome.rows:

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from fuse_grounding.benchmark.latency import Latency
 from fuse_grounding.benchmark.runner import Row
-from fuse_grounding.benchmark.store import RESULTS
 
 _WIDTH = 150
 """Columns of a table at least: a log file is wide enough."""
@@ -21,17 +20,18 @@ _WIDTH = 150
 class Teller:
     """A listener that tells each row in a line, with the time left; a bar below them on a terminal."""
 
-    def __init__(self, quiet: bool):
+    def __init__(self, folder: Path, quiet: bool):
+        self._folder = folder
         self.out = Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False)
         self._err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
         self._progress: Progress | None = None
-        self._folder, self._done, self._before, self._total, self._errors = Path(), 0, 0, 0, 0
+        self._done, self._before, self._total, self._errors = 0, 0, 0, 0
         self._began = 0.0
 
-    def opened(self, folder: Path, done: int, total: int) -> None:
+    def opened(self, done: int, total: int) -> None:
         """The clock starts."""
         self.close()
-        self._folder, self._done, self._before, self._total, self._errors = folder, done, done, total, 0
+        self._done, self._before, self._total, self._errors = done, done, total, 0
         self._began = time.monotonic()
         if done:
             self.out.print(f"{done} of {total} results are there already")
@@ -80,7 +80,7 @@ class Teller:
             return
         errors = f", {self._errors} of them errors" if self._errors else ""
         self._err.print(
-            f"interrupted: {self._done} of {self._total} results are in {self._folder / RESULTS}{errors}; "
+            f"interrupted: {self._done} of {self._total} results are in {self._folder}{errors}; "
             "the same command with --resume goes on"
         )
 
