@@ -326,7 +326,7 @@ def test_auto_is_the_embedded_encoder_where_there_are_weights_and_letters_elsewh
         (tmp_path / f"copy{suffix}").rename(tmp_path / f"encoder{suffix}")
     assert assemble(config)[1].encoder.name == "embedded"
     (tmp_path / "encoder.safetensors").unlink()
-    with pytest.raises(InputError, match=r"encoder\.safetensors is missing; none ships yet"):
+    with pytest.raises(InputError, match=r"encoder\.safetensors is missing"):
         assemble(config)
     with pytest.raises(InputError, match=r"encoder\.weights .* is not for `lexical`, which has none"):
         assemble(config.with_(encoder={"name": "lexical", "weights": str(files)}))
@@ -439,7 +439,6 @@ def test_an_exported_network_says_what_the_trained_one_says(tmp_path: Path, file
 # -- what ships ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not DEFAULT_PATH.exists(), reason="no encoder ships with this state of the project")
 def test_the_shipped_encoder_knows_labels_and_their_kin():
     labels = [name for name, _ in _core.object_categories()]
     text = TextTable(DEFAULT_PATH.with_suffix(".safetensors"))
@@ -452,7 +451,6 @@ def test_the_shipped_encoder_knows_labels_and_their_kin():
     assert files[1].stat().st_size <= 6e6
 
 
-@pytest.mark.skipif(not DEFAULT_PATH.exists(), reason="no encoder ships with this state of the project")
 def test_the_shipped_encoder_finds_the_label_of_what_it_never_saw():
     from fuse_grounding.training.encoder_score import evaluate
 

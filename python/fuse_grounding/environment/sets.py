@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +76,6 @@ def plan_of(name: str) -> SetPlan:
     if name not in SETS:
         raise InputError(unknown("split", name, list(SETS)))
     return SETS[name]
-
-
-@cache
-def _asked(name: str) -> list[tuple[str, str, str, int, str]]:
-    plan = plan_of(name)
-    return stage().plan_episodes(name, plan.split, phrasings(plan.split), plan.count, plan.seed)
-
-
-def planned_episode(name: str, index: int) -> Episode:
-    """Episode `index` of a set as `generate_set` makes it, made here and now. Raises InputError."""
-    index = whole("index", index, 0, plan_of(name).count - 1)
-    text, statistics, _ = stage().make_episode(valid_categories(), _asked(name)[index], knobs())
-    return Episode(text, statistics)
 
 
 def timing_path(path: Path) -> Path:

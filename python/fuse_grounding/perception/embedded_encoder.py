@@ -151,8 +151,7 @@ def files(path: Path | None) -> tuple[Path, ...]:
     found = (path, path.with_suffix(".safetensors"), path.with_suffix(".json"))
     for file in found:
         if not file.is_file():
-            hint = "; none ships yet, `fuse train encoder` makes one" if path == DEFAULT_PATH else ""
-            raise InputError(f"the encoder's file {file} is missing{hint}")
+            raise InputError(f"the encoder's file {file} is missing")
     return found
 
 

@@ -24,7 +24,6 @@ from fuse_grounding import _core, tensors
 from fuse_grounding.child import settle, threads_each
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, load_episodes
-from fuse_grounding.environment.sets import SETS, planned_episode
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
 from fuse_grounding.training import transitions
@@ -71,13 +70,11 @@ class _Worker:
         encoder = EmbeddedEncoder(request.encoder)
         self.prober = Prober(Config.from_dict(request.config), encoder, labels())
         self.texts = encoder.text(labels())
-        self.shipped = load_episodes(request.split) if request.split != "train" else None
+        self.episodes = load_episodes(request.split)
 
     def episode(self, number: int) -> Episode:
         """Episode of a trajectory: the set's, from its first on, again and again."""
-        if self.shipped is not None:
-            return self.shipped[number % len(self.shipped)]
-        return planned_episode(self.request.split, number % SETS[self.request.split].count)
+        return self.episodes[number % len(self.episodes)]
 
     def make(self, number: int) -> bytes:
         """The part's bytes."""

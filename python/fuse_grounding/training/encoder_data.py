@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fuse_grounding.environment import TabletopEnvironment
-from fuse_grounding.environment.sets import plan_of, planned_episode
+from fuse_grounding.environment import TabletopEnvironment, load_episodes
 from fuse_grounding.perception.embedded_encoder import STRIDE, letterbox
 from fuse_grounding.training.segmenter_data import SHARD, Picture, Shards, augment
 
@@ -40,10 +39,10 @@ class Sample:
 
 def scene_pictures(name: str, seed: int, count: int) -> list[Picture]:
     """`count` views of laid tables of the set `name`, chosen by `seed`: pictures, ids, objects."""
-    rng = np.random.default_rng(seed)
+    rng, episodes = np.random.default_rng(seed), load_episodes(name)
     pictures: list[Picture] = []
     while len(pictures) < count:
-        environment = TabletopEnvironment(planned_episode(name, int(rng.integers(plan_of(name).count))))
+        environment = TabletopEnvironment(episodes[int(rng.integers(len(episodes)))])
         kinds = environment.episode.categories
         for _ in range(min(VIEWS, count - len(pictures))):
             seen = environment.render_at(int(rng.integers(36)), int(rng.integers(3)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, TabletopEnvironment
 from fuse_grounding.environment.protocol import Observation
 from fuse_grounding.knowledge.protocol import Candidate
-from fuse_grounding.mapping import GaussianMap, PointRegistrar
+from fuse_grounding.mapping import ForkingRegistrar, GaussianMap
 from fuse_grounding.perception.protocol import Detection, Encoder
 from fuse_grounding.planning.context import nearest_candidate
 from fuse_grounding.planning.protocol import Situation
@@ -37,14 +37,6 @@ _CHANCE /= _CHANCE.sum()
 NODES, PITCHES = 36, 3
 
 Viewpoint = tuple[int, int]
-
-
-class ForkingRegistrar(PointRegistrar, Protocol):
-    """A registrar of which a twin can be made."""
-
-    def fork(self) -> ForkingRegistrar:
-        """A twin that goes its own way from here. Raises InputError where that cannot be."""
-        ...
 
 
 @dataclass
