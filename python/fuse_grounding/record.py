@@ -5,6 +5,7 @@ Two runs of the same seed differ only in fields that are named `timings` or end 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import tempfile
@@ -267,3 +268,19 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def hold(folder: Path, who: str) -> int:
+    """Locks `folder` for one writer, until the descriptor is closed or the process ends, however it ends.
+
+    Raises InputError while another one, `who` by kind, holds it.
+    """
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(held)
+        if not isinstance(error, BlockingIOError):
+            raise
+        raise InputError(f"another {who} is writing to {folder}; wait for it or end it") from None
+    return held

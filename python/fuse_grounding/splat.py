@@ -9,10 +9,9 @@ image, alpha, depth = splat.render(trainer.gaussians, camera)
 
 World: right-handed, z up, metres. Whatever the caller can put right raises `InputError`.
 
-`device` is `cpu`, `gpu`, or `auto`: a real GPU if there is one, else the CPU. A GPU that the CPU
-emulates is refused, unless the environment variable FUSE_SOFTWARE_GPU is 1 (for tests), and never taken
-by `auto`. The same seed and the same calls give the same bits for any number of threads, at one SIMD
-level of one CPU backend, or on one GPU: `device_name` and `Trainer.device` say which.
+`device` is `cpu`, `gpu`, or `auto`: a real GPU if there is one, else the CPU. A GPU that the CPU emulates is
+refused, unless FUSE_SOFTWARE_GPU is 1 (for tests), and never taken by `auto`. Same seed and calls: same bits
+for any number of threads at one SIMD level, or on one GPU: `device_name` and `Trainer.device` say which.
 """
 
 from __future__ import annotations
@@ -272,9 +271,8 @@ def render(
 
 
 class Trainer:
-    """Fits Gaussians to views that arrive one by one.
+    """Fits Gaussians to views that arrive one by one; moments and statistics carry over between them.
 
-    Iterations, moments and densification statistics carry over from one `refine` to the next.
     Ctrl-C ends a refinement after the iteration that it fell into; the trainer stays usable.
     """
 
@@ -311,8 +309,7 @@ class Trainer:
         return RefineStats(**stats)
 
     def fork(self) -> Trainer:
-        """A twin that goes its own way from here, as if each had been called alike so far; pictures of views
-        are shared, not copied."""
+        """A twin that goes its own way from here; pictures of views are shared, not copied."""
         twin = copy.copy(self)
         twin._inner = self._inner.fork()
         return twin

@@ -102,8 +102,8 @@ def test_rows_are_in_order_and_say_what_they_are_of(whole: Path):
     header = json.loads((whole / HEADER).read_text())
     assert header["provenance"]["jobs"] == 1
     assert {"processor", "cores"} <= set(header["provenance"]["machine"])
-    assert set(header["identity"]["methods"]["walk"]["weights"]) == {"segmenter", "method"}
-    assert set(header["identity"]["methods"]["random"]["weights"]) == {"segmenter"}
+    assert set(header["identity"]["methods"]["walk"]["weights"]) == {"segmenter", "encoder", "method"}
+    assert set(header["identity"]["methods"]["random"]["weights"]) == {"segmenter", "encoder"}
 
 
 def test_pictures_of_the_first_episodes_are_kept(whole: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from fuse_grounding import tensors
 from fuse_grounding.config import Config
 from fuse_grounding.environment import TabletopEnvironment, load_episodes
 from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.record import hold
 from fuse_grounding.training import collect, rollouts, transitions
 
 SMALL = {"initial_iterations": 12, "incremental_iterations": 3, "fine_iterations": 3}
@@ -96,6 +98,10 @@ def test_interrupted_and_resumed_with_other_jobs_it_ends_in_the_same_bytes(
         collect.collect(out, request(encoder))
     with pytest.raises(InputError, match=r"another collection \(`request\.seed` is 0 there and 1 here\)"):
         collect.collect(out, request(encoder, seed=1), resume=True)
+    held = hold(out, "collection")
+    with pytest.raises(InputError, match=r"another collection is writing to .*; wait for it or end it"):
+        collect.collect(out, request(encoder), resume=True)
+    os.close(held)
     collect.collect(out, request(encoder), jobs=2, resume=True)
     assert (out / collect.RESULT).read_bytes() == (collected / collect.RESULT).read_bytes()
     (out / "parts" / "00000.safetensors").write_bytes(b"damaged")

@@ -7,7 +7,6 @@ place. A finished benchmark is rewritten in order of episodes, then methods, wha
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -16,7 +15,7 @@ from typing import Any
 
 from fuse_grounding.benchmark.identity import IDENTITY_VERSION, difference, joined, stamp
 from fuse_grounding.errors import FuseError, InputError
-from fuse_grounding.record import write_atomically
+from fuse_grounding.record import hold, write_atomically
 
 SCHEMA_VERSION = 3
 RESULTS, HEADER = "results.jsonl", "bench.json"
@@ -94,7 +93,7 @@ class ResultStore:
         check(folder, resume)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._hold()
+            self._held = hold(folder, "benchmark")
             self._open(dict(provenance), dict(notes or {}))
         except OSError as error:
             self.close()
@@ -160,16 +159,6 @@ class ResultStore:
         if self._held is not None:
             os.close(self._held)
             self._held = None
-
-    def _hold(self) -> None:
-        """Locks the folder; the lock ends with the process, however it ends."""
-        self._held = os.open(self._folder, os.O_RDONLY)
-        try:
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"another benchmark is writing to {self._folder}; wait for it or end it"
-            ) from None
 
     def _open(self, provenance: dict[str, Any], notes: dict[str, Any]) -> None:
         earlier: list[Any] = []

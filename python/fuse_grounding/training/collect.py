@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -26,6 +27,7 @@ from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, load_episodes
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
+from fuse_grounding.record import hold
 from fuse_grounding.training import transitions
 from fuse_grounding.training.rollouts import Prober, tables
 
@@ -120,8 +122,20 @@ def collect(
     without `resume` or holds another request's parts; FuseError when a process dies or the disk refuses.
     """
     plan = _plan(request)
-    folder = out / PARTS
     _open(out, plan, resume)
+    held = hold(out, "collection")
+    try:
+        _keep_plan(out, plan)
+        return _fill(out, plan, request, jobs, tell)
+    finally:
+        os.close(held)
+
+
+def _fill(
+    out: Path, plan: dict[str, Any], request: Request, jobs: int, tell: Callable[[int, int], None]
+) -> Collected:
+    """Makes what is missing of the parts and joins them."""
+    folder = out / PARTS
     paths = [folder / f"{number:05d}.safetensors" for number in range(request.trajectories)]
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     done = request.trajectories - len(missing)
@@ -205,6 +219,10 @@ def _open(out: Path, plan: dict[str, Any], resume: bool) -> None:
         (out / PARTS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"output directory {out} cannot be written: {error.strerror}") from None
+
+
+def _keep_plan(out: Path, plan: dict[str, Any]) -> None:
+    where = out / PLAN
     if not where.exists():
         if any((out / PARTS).iterdir()):
             raise InputError(
