@@ -71,7 +71,7 @@ bench: install
 	$(BIN)/python benches/map_quality.py
 	$(BIN)/python benches/scaling.py
 	$(BIN)/python benches/segmenter.py
-	test ! -e python/fuse_grounding/weights/encoder.onnx || $(BIN)/python benches/encoder.py
+	$(BIN)/python benches/encoder.py
 	$(BIN)/python benches/renderers.py $(RENDERERS_OPTIONS)
 
 # Against OpenSplat, torch-splatting and Brush: see benches/peers.py for what their builds need.

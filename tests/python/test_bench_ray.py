@@ -35,7 +35,7 @@ class Quiet:
     def note(self, sentence: str) -> None:
         raise AssertionError(sentence)
 
-    def row(self, row: Row) -> None:
+    def row(self, row: Row, part: str) -> None:
         self.rows += 1
         if self.rows == 1:
             self._first()

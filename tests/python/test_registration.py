@@ -306,3 +306,31 @@ def test_input_errors_say_what_is_wrong() -> None:
     for wrong, message in wrongs:
         with pytest.raises(InputError, match=message):
             ColmapRegistrar(**wrong)
+
+
+@pytest.mark.parametrize("fallback", [False, True])
+def test_a_fork_goes_on_as_its_original_would(fallback: bool, monkeypatch: pytest.MonkeyPatch):
+    from fuse_grounding.registration.mapping import LiveModel
+
+    if fallback:
+        monkeypatch.setattr(LiveModel, "start", lambda *_: False)
+    whole, first = ColmapRegistrar(), ColmapRegistrar()
+    views = [view(START + step, 1) for step in (0, 2, 3, 4, 5, 6)]  # the fifth adjusts globally
+    for registrar in (whole, first):
+        registrar.initialize(seeds())
+    for seen in views:
+        whole.register(seen)
+    for seen in views[:3]:
+        first.register(seen)
+    twin_ = first.fork()
+    first.register(view(START - 4, 2))  # another way
+    before = [v.camera.translation for v in first.views()]
+    for seen in views[3:]:
+        twin_.register(seen)
+    assert {v.status for v in twin_.views()} == {"posed_fallback" if fallback else "colmap"}
+    for mine, theirs in zip(twin_.views(), whole.views(), strict=True):
+        np.testing.assert_array_equal(mine.camera.rotation, theirs.camera.rotation)
+        np.testing.assert_array_equal(mine.camera.translation, theirs.camera.translation)
+    for mine_, theirs_ in zip(twin_.points_by_id(), whole.points_by_id(), strict=True):
+        np.testing.assert_array_equal(mine_, theirs_)
+    np.testing.assert_array_equal(before, [v.camera.translation for v in first.views()])

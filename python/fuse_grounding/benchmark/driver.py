@@ -62,8 +62,8 @@ class Listener(Protocol):
         """The folders are open, and `done` of `total` rows are there."""
         ...
 
-    def row(self, row: Row) -> None:
-        """One more row is on disk."""
+    def row(self, row: Row, part: str) -> None:
+        """One more row is on disk; `part` names its folder where there are several, else it is empty."""
         ...
 
     def note(self, sentence: str) -> None:
@@ -124,13 +124,13 @@ class _Part:
     loaded: Loaded
     rows: ResultStore | None = None
 
-    def tasks(self) -> Iterator[tuple[str, Task]]:
-        """What the plan asks for, with its stamp."""
+    def tasks(self) -> Iterator[tuple[tuple[int, str], Task]]:
+        """What the plan asks for, with its place in the set, which seeds `random`, and its stamp."""
         if self.rows is not None:
             for index, episode in enumerate(self.plan.episodes):
                 for name in self.loaded.provenances:
                     stamp = self.rows.stamp(name, episode.episode_id)
-                    yield stamp, Task(self.number, index, name, episode)
+                    yield (index, stamp), Task(self.number, index, name, episode)
 
     def outcome(self) -> list[Row]:
         """The rows that the plan asks for, in order."""
@@ -166,13 +166,13 @@ def _opened(plan: Plan, loaded: Loaded, means: Means, listener: Listener) -> Res
 
 
 def _run(parts: Sequence[_Part], engine: Engine, listener: Listener) -> None:
-    """Every stamp once: its row goes to all parts that ask for it."""
-    asked: dict[str, list[tuple[ResultStore, Task]]] = {}
+    """What is decided by the same once: its row goes to all parts that ask for it."""
+    asked: dict[tuple[int, str], list[tuple[ResultStore, Task]]] = {}
     for part in parts:
-        for stamp, task in part.tasks():
+        for decided, task in part.tasks():
             assert part.rows is not None
-            asked.setdefault(stamp, []).append((part.rows, task))
-    left = {stamp: places for stamp, places in asked.items() if not _there(places)}
+            asked.setdefault(decided, []).append((part.rows, task))
+    left = {decided: places for decided, places in asked.items() if not _there(places)}
     listener.opened(len(asked) - len(left), len(asked))
     if doubles := sum(len(places) - 1 for places in left.values()):
         listener.note(f"{doubles} rows are asked for by several parts, and are run once")
@@ -183,7 +183,7 @@ def _run(parts: Sequence[_Part], engine: Engine, listener: Listener) -> None:
         row = rows.append(done.row)
         for more, _ in others:
             more.adopt(row)
-        listener.row(row)
+        listener.row(row, parts[done.part].plan.out.name if len(parts) > 1 else "")
         for sentence in done.notes:
             listener.note(sentence)
     for part in parts:

@@ -95,7 +95,11 @@ def failure(error: BaseException | str) -> Row:
     """What a row says of an error: message, the innermost calls, and that it counts as a failure."""
     calls: list[str] = []
     if isinstance(error, BaseException):
-        frames = traceback.extract_tb(error.__traceback__)[-_FRAMES:]
+        # What is shared with other methods is a way there, and depends on how many workers there are.
+        frames = [
+            f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name != "shared.py"
+        ]
+        frames = frames[-_FRAMES:]
         calls = [f"{Path(f.filename).name}:{f.lineno} in {f.name}" for f in frames]
         error = f"{type(error).__name__}: {error}"
     return {"status": "error", "error": error, "traceback": calls, "success": False, "iou": 0.0}

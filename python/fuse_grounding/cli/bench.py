@@ -138,7 +138,7 @@ def _means(engine: str, jobs: int | None, timing: bool, gallery: int) -> Means:
 def _told(plan: Plan, outcome: Outcome, timing: bool, teller: Teller) -> list[Any]:
     """Prints a part's table; its values."""
     for name, reason in outcome.refused.items():
-        teller.note(f"{name} was not run: {reason}")
+        teller.note(f"{plan.out.name}: {name} was not run: {reason}")
     if outcome.rows:
         teller.out.print(f"\nresults     {plan.out / store.RESULTS}")
     return _tables(outcome.rows, timing, teller)

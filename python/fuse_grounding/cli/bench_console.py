@@ -46,7 +46,7 @@ class Teller:
             self._progress.start()
             self._progress.add_task("", total=total, completed=done, left="")
 
-    def row(self, row: Row) -> None:
+    def row(self, row: Row, part: str) -> None:
         """One line."""
         self._done += 1
         self._errors += row["status"] != "ok"
@@ -54,7 +54,7 @@ class Teller:
         if self._progress is not None:
             self._progress.update(self._progress.task_ids[0], completed=self._done, left=left.strip())
             left = ""
-        self._say(f"{self._done:4d}/{self._total}  {row_line(row)}{left}")
+        self._say(f"{self._done:4d}/{self._total}  {part}{'  ' if part else ''}{row_line(row)}{left}")
 
     def note(self, sentence: str) -> None:
         """One line."""

@@ -123,7 +123,10 @@ def collect(
     """
     plan = _plan(request)
     _open(out, plan, resume)
-    held = hold(out, "collection")
+    try:
+        held = hold(out, "collection")
+    except OSError as error:
+        raise InputError(f"output directory {out} cannot be written: {error.strerror}") from None
     try:
         _keep_plan(out, plan)
         return _fill(out, plan, request, jobs, tell)
@@ -199,6 +202,9 @@ def _plan(request: Request) -> dict[str, Any]:
     return {
         "request": asked,
         "labels": list(labels()),
+        "episodes": hashlib.sha256(
+            "".join(e.text for e in load_episodes(request.split)).encode()
+        ).hexdigest(),
         "weights": prober.parts.provenance["sha256"],
         "encoder": encoder.settings.sha256,
         "versions": {
@@ -229,6 +235,8 @@ def _keep_plan(out: Path, plan: dict[str, Any]) -> None:
                 f"{where} is missing; the parts beside it cannot be resumed, choose another --out"
             )
         tensors.write(where, json.dumps(plan, indent=1) + "\n")
+    else:
+        _same(where, plan)  # somebody else's, who was faster
 
 
 def _same(where: Path, plan: dict[str, Any]) -> None:
