@@ -70,9 +70,9 @@ class RayEngine:
         ray, play = self._ray, self._remote(_play)
         setups, expected = ray.put(self._setups), ray.put(_decisive(self.load()))
         # Methods share an episode, which lies in the cluster once.
-        lying = {text: ray.put(e) for text, e in {t.episode.text: t.episode for t in tasks}.items()}
+        stored = {text: ray.put(e) for text, e in {t.episode.text: t.episode for t in tasks}.items()}
         named = {
-            play.remote(setups, expected, t.part, t.index, t.method, lying[t.episode.text]): t for t in tasks
+            play.remote(setups, expected, t.part, t.index, t.method, stored[t.episode.text]): t for t in tasks
         }
         self._pending = list(named)
         while self._pending:

@@ -128,10 +128,9 @@ class SharedRegistrar:
         def start(clock: Stopwatch) -> ForkingRegistrar:
             with clock("initialize"):
                 self._fresh.initialize(seeds)
-                self._fresh.points()  # as the agent does in this stage
             return self._fresh
 
-        self._go(_digest(self._root, b"seeds", *map(_print, seeds)), start)
+        self._go(_digest(self._root, b"seeds", *map(_fingerprint, seeds)), start)
         return self.views()
 
     def register(self, observation: Observation) -> RegisteredView:
@@ -143,12 +142,8 @@ class SharedRegistrar:
                 twin.register(observation)
             return twin
 
-        self._go(_digest(self.key, b"view", _print(observation)), add)
+        self._go(_digest(self.key, b"view", _fingerprint(observation)), add)
         return self.views()[-1]
-
-    def fork(self) -> ForkingRegistrar:
-        """The state itself, to be gone on from apart from all that is shared."""
-        return self.now.fork()
 
     def views(self) -> list[RegisteredView]:
         """See `Registrar.views`."""
@@ -220,7 +215,7 @@ def _digest(*parts: bytes) -> bytes:
     return total.digest()
 
 
-def _print(view: Observation) -> bytes:
+def _fingerprint(view: Observation) -> bytes:
     """All that a registrar may read of a view."""
     arrays = [view.rgb, *(() if view.depth is None else (view.depth,))]
     where: list[Any] = [view.node, view.pitch_index]
