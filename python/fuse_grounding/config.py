@@ -57,9 +57,9 @@ class GateConfig(Section):
 class PlannerConfig(Section):
     """The learned planner of `amortized` and `fuse`."""
 
-    name: Literal["plain", "extended", "none"] = "plain"
-    """`plain`: picture, object, action (supplement, "Amortized Planner Architecture"); `extended`: also pitch
-    and where the candidates are in the picture, ours; `none`: every decision of `fuse` is explicit."""
+    name: Literal["plain", "summary", "none"] = "plain"
+    """`plain`: picture, object, action (supplement, "Amortized Planner Architecture"); `summary`, ours: pitch
+    and where the candidates are in the picture; `none`: every decision of `fuse` is explicit."""
     weights: Path | None = None
     """Another ONNX file of the same kind; none: the shipped one."""
 

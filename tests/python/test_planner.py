@@ -20,7 +20,7 @@ from fuse_grounding.perception.protocol import Detection
 from fuse_grounding.planning.amortized import WEIGHTS, Network, load_planner
 from fuse_grounding.planning.context import nearest_candidate
 from fuse_grounding.planning.protocol import Situation
-from fuse_grounding.planning.summary import NAMES, summarize
+from fuse_grounding.planning.summary import NAMES, mirrored, summarize
 from fuse_grounding.record import Stopwatch
 from fuse_grounding.training import gate, planner_score, transitions
 from fuse_grounding.training.transitions import Transitions
@@ -85,6 +85,20 @@ def test_the_summary_says_where_the_candidates_are():
     assert nothing.sum() == 1
 
 
+def test_a_mirrored_summary_is_that_of_the_mirrored_picture():
+    corner, middle = np.zeros((H, W), bool), np.zeros((H, W), bool)
+    corner[3:30, 0:14] = True
+    middle[20:33, 37:52] = True
+    config = Config().with_(stopping={"min_region_px": 50})
+    for seen in ([("mug", 0.4, middle), ("knife", 0.8, corner)], [("mug", 0.6, middle)], []):
+        there = summarize(situation([Detection(*one) for one in seen]), config)
+        turned = summarize(
+            situation([Detection(label, score, mask[:, ::-1]) for label, score, mask in seen]), config
+        )
+        np.testing.assert_allclose(mirrored(there[None])[0], turned, atol=1e-6)
+        np.testing.assert_allclose(mirrored(mirrored(there[None]))[0], there, atol=1e-6)
+
+
 def test_the_object_context_is_the_candidate_most_like_the_picture():
     class Axes:
         name = "axes"
@@ -101,7 +115,7 @@ def test_the_object_context_is_the_candidate_most_like_the_picture():
 # -- network and policy -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["plain", "extended"])
+@pytest.mark.parametrize("kind", ["plain", "summary"])
 def test_the_policy_takes_the_best_feasible_action(encoder: Path, tmp_path: Path, kind: str):
     values = np.zeros(15)
     values[12], values[7], values[3] = 0.9, 0.5, 0.4  # the best is masked, the next one stays
@@ -136,14 +150,17 @@ def test_an_agents_provenance_names_planner_and_encoder(encoder: Path, tmp_path:
     planner = write_planner(tmp_path / "p.onnx", encoder)
     parts, _ = assemble(settings(encoder, planner))
     assert set(parts.provenance["sha256"]) == {"segmenter", "encoder", "planner", "planner_encoder"}
+    reader = write_planner(tmp_path / "s.onnx", encoder, "summary")
+    parts, _ = assemble(settings(encoder, reader, "summary"))
+    assert set(parts.provenance["sha256"]) == {"segmenter", "encoder", "planner"}
     parts, _ = assemble(settings(encoder, planner).with_(method="static"))
     assert set(parts.provenance["sha256"]) == {"segmenter", "encoder"}
 
 
 def test_planners_that_do_not_fit_are_refused(encoder: Path, tmp_path: Path):
     planner = write_planner(tmp_path / "p.onnx", encoder)
-    with pytest.raises(InputError, match=r"of a planner `plain`, planner\.name asks for `extended`"):
-        load_planner(settings(encoder, planner, "extended"))
+    with pytest.raises(InputError, match=r"of a planner `plain`, planner\.name asks for `summary`"):
+        load_planner(settings(encoder, planner, "summary"))
     (tmp_path / "other").mkdir()
     other = write_encoder(tmp_path / "other", seed=1)
     with pytest.raises(
@@ -168,8 +185,8 @@ def test_damaged_planner_files_are_refused_by_name(encoder: Path, tmp_path: Path
     for broken, sentence in (
         (text[:40], "is not a planner's settings file"),
         (text.replace('"schema_version": 1', '"schema_version": 2'), "schema version 2, expected 1"),
-        (text.replace('"plain"', '"wild"'), "`kind` must be plain or extended, found `wild`"),
-        (text.replace('"plain"', '"extended"'), "is another network: it takes image"),
+        (text.replace('"plain"', '"wild"'), "`kind` must be plain or summary, found `wild`"),
+        (text.replace('"plain"', '"summary"'), "is another network: it takes image"),
         (text.replace("512", "64"), r"is another network: it takes image \[1, 512\]"),
     ):
         described.write_text(broken)
@@ -278,7 +295,7 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
     for kind, name, config in (
         ("plain", "again", short),
         ("plain", "first", short),
-        ("extended", "first", replace(training.settings("extended", 0), epochs=2)),
+        ("summary", "first", replace(training.settings("summary", 0), epochs=2)),
         ("plain", "paper", paper),
     ):
         if name == "paper":
@@ -288,8 +305,13 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
         made[kind] = tmp_path / name / f"{kind}.onnx"
         training.write(made[kind], trained, config, {"network": "n", "text": "t"}, {"sha256": "s"})
         sizes = [tuple(m.weight.shape) for m in trained.net.mlp if isinstance(m, torch.nn.Linear)]
-        extra = len(NAMES) if kind == "extended" else 0
-        assert sizes == [(512, 1056 + extra), (512, 512), (1, 512)]
+        assert (
+            sizes
+            == {
+                "plain": [(512, 1056), (512, 512), (1, 512)],
+                "summary": [(128, len(NAMES) + 32), (128, 128), (1, 128)],
+            }[kind]
+        )
         assert trained.net.actions.weight.shape == (15, 32)
         assert made[kind].stat().st_size < 2e6
         plain = trained if kind == "plain" else plain
@@ -305,8 +327,39 @@ def test_the_papers_network_learns_and_repeats_itself(tmp_path: Path):
     with torch.no_grad():
         rows = [torch.from_numpy(x.astype(np.float32)) for x in (data.feature[:1], data.texts[:1])]
         expected = training.Exported(plain.net)(*rows).numpy()
-    values = network.values(data.feature[0], data.texts[0], None)
+    values = network.values(image=data.feature[0], object=data.texts[0])
     np.testing.assert_allclose(values, expected, atol=5e-3)  # weights are halved
+
+
+def test_the_network_of_summaries_knows_left_from_right_from_half_of_the_cases():
+    """It learns where to go from targets on the left alone, and is asked about targets on the right."""
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from fuse_grounding.training import planner as training
+
+    def worth(ring: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return (0.4 * (ring - 2) * np.sign(x - 0.5)).astype(np.float32)
+
+    data = tables(80)
+    rng = np.random.default_rng(3)
+    at = {name: i for i, name in enumerate(NAMES)}
+    summary = np.zeros((80, len(NAMES)), np.float16)
+    summary[:, at["best_score"]] = 0.9
+    summary[:, at["best_x"]] = rng.uniform(0.05, 0.45, 80)
+    ring = data.action % 5
+    terms = np.zeros_like(data.terms)
+    terms[:, 0] = worth(ring, summary[data.before, at["best_x"]])
+    learnt = training.train(
+        replace(data, summary=summary, terms=terms, utility=transitions.utility(terms)),
+        training.settings("summary", 0),
+        lambda line: None,
+    )
+    right = summary[:1].copy()
+    right[0, at["best_x"]] = 0.8
+    with torch.no_grad():
+        values = training.Exported(learnt.net)(torch.from_numpy(right.astype(np.float32))).numpy()
+    expected = worth(np.arange(15) % 5, np.full(15, 0.8))
+    assert planner_score.rank_correlation(values, expected) > 0.9
 
 
 def choices(measured: list[list[float]], predicted: list[list[float]]) -> planner_score.Choices:

@@ -86,9 +86,7 @@ def write_planner(
     """A planner that always answers `values`, for the encoder whose file is given."""
     onnx = pytest.importorskip("onnx")
     answer = np.arange(15, dtype=np.float32) if values is None else values.astype(np.float32)
-    sizes = {"image": dimensions, "object": dimensions} | (
-        {"summary": len(NAMES)} if kind == "extended" else {}
-    )
+    sizes = {"image": dimensions, "object": dimensions} if kind == "plain" else {"summary": len(NAMES)}
     nodes = [
         *(onnx.helper.make_node("ReduceSum", [name], [f"{name}_sum"], keepdims=0) for name in sizes),
         onnx.helper.make_node("Sum", [f"{name}_sum" for name in sizes], ["all"]),

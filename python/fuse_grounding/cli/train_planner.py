@@ -21,7 +21,7 @@ from fuse_grounding.training import transitions
 def planner(
     source: Annotated[Path, typer.Option("--transitions", help="transitions.safetensors of `fuse collect`.")],
     out: Annotated[Path, typer.Option(help="Folder for the weights; with --evaluate, for figures and plot.")],
-    kind: Annotated[str, typer.Option(help="plain, extended, or both.")] = "both",
+    kind: Annotated[str, typer.Option(help="plain, summary, or both.")] = "both",
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, start and order.")] = 0,
     evaluate: Annotated[
         bool,
@@ -85,7 +85,7 @@ def _evaluate(
     for kind in kinds:
         path = shipped(kind) if weights is None else weights / shipped(kind).name
         network = Network(path)
-        if network.settings.encoder != note["encoder"]:
+        if network.settings.encoder not in ({}, note["encoder"]):
             raise InputError(f"{path} and {source} are of different encoders: train the planner anew")
         if network.settings.transitions == sha256([source]):
             raise InputError(f"{path} was trained on {source}: judge it on others (fuse collect --split dev)")

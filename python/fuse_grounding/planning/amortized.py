@@ -3,8 +3,9 @@
     Q(x, a; o) = MLP([image(x), text(o), embedding(a)]),   1056 → 512 → 512 → 1
 
 o is the candidate whose text is most like the picture (supplement, "Amortized Planner Architecture"). The
-planner `extended` also reads `planning.summary`. `planner.onnx` holds all 15 actions at once; `planner.json`
-beside it says which kind it is, what it was trained on and with which encoder.
+planner `summary`, ours, reads `planning.summary` instead of vectors, and needs no encoder. An ONNX file holds
+all 15 actions at once; the JSON beside it says which kind it is, what it was trained on and, `plain`, with
+which encoder.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from fuse_grounding.planning.summary import NAMES, summarize
 from fuse_grounding.record import Stopwatch
 
 SCHEMA_VERSION = 1
-KINDS = ("plain", "extended")
+KINDS = ("plain", "summary")
 WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 
 
@@ -40,8 +41,8 @@ def shipped(kind: str) -> Path:
 
 @dataclass(frozen=True)
 class Settings:
-    """What `planner.json` says: the kind, the length of vectors, and the SHA-256 of the encoder's two files
-    and of the transitions that it was trained on."""
+    """What `planner.json` says: the kind, the SHA-256 of the transitions that it was trained on, and where it
+    reads vectors, their length and the SHA-256 of the encoder's two files."""
 
     kind: str
     dimensions: int
@@ -61,23 +62,20 @@ class Network:
         self.settings, weights = _read(path)
         size = self.settings.dimensions
         takes = {"image": (1, size), "object": (1, size)}
-        if self.settings.kind == "extended":
-            takes["summary"] = (1, len(NAMES))
+        if self.settings.kind == "summary":
+            takes = {"summary": (1, len(NAMES))}
         self._session = onnx.session(path, takes, {"values": (15,)}, 1, weights)
 
-    def values(self, image: np.ndarray, context: np.ndarray, summary: np.ndarray | None) -> np.ndarray:
-        """(D,) and (D,) unit vectors, (29,) summary where the kind reads one → (15,) float32."""
-        feed = {"image": image[None].astype(np.float32), "object": context[None].astype(np.float32)}
-        if self.settings.kind == "extended":
-            assert summary is not None
-            feed["summary"] = summary[None].astype(np.float32)
+    def values(self, **inputs: np.ndarray) -> np.ndarray:
+        """`image` and `object`, unit vectors (D,), or `summary` (29,), as the kind is → (15,) float32."""
+        feed = {name: array[None].astype(np.float32) for name, array in inputs.items()}
         return self._session.run(["values"], feed)[0]
 
 
 class AmortizedPlanner:
-    """A network with the encoder that it was trained on; implements `Planner`."""
+    """A network with the encoder that it was trained on, if it reads with one; implements `Planner`."""
 
-    def __init__(self, network: Network, encoder: Encoder, config: Config) -> None:
+    def __init__(self, network: Network, encoder: Encoder | None, config: Config) -> None:
         self._network, self._encoder, self._config = network, encoder, config
 
     @property
@@ -87,11 +85,12 @@ class AmortizedPlanner:
 
     def values(self, situation: Situation) -> np.ndarray:
         """(15,) float32 predicted utility of each action."""
+        if self._encoder is None:
+            return self._network.values(summary=summarize(situation, self._config))
         image = self._encoder.image(situation.rgb)
         labels = [candidate.label for candidate in situation.candidates]
         context = self._encoder.text([nearest_candidate(self._encoder, image, labels)])[0]
-        summary = summarize(situation, self._config) if self.name == "extended" else None
-        return self._network.values(image, context, summary)
+        return self._network.values(image=image, object=context)
 
 
 class Amortized:
@@ -116,7 +115,7 @@ class Amortized:
 
 @dataclass(frozen=True)
 class Files:
-    """The files behind a planner: its own, and those of the encoder that it reads with."""
+    """The files behind a planner: its own, and those of the encoder that it reads with, if it does."""
 
     planner: Path
     encoder: tuple[Path, ...]
@@ -125,8 +124,8 @@ class Files:
 def planner_files(config: Config) -> Files | None:
     """Those of the configured planner; None where no planner is loaded.
 
-    The encoder is the embedded one, with `encoder.weights` unless these are another encoder's. Raises
-    InputError where a file is missing.
+    The encoder of `plain` is the embedded one, with `encoder.weights` unless these are another encoder's.
+    Raises InputError where a file is missing.
     """
     path = config.planner.weights or shipped(config.planner.name)
     if config.planner.name == "none" or not (config.planner.weights or path.exists()):
@@ -134,6 +133,8 @@ def planner_files(config: Config) -> Files | None:
     for file in (path, path.with_suffix(".json")):
         if not file.is_file():
             raise InputError(f"planner weights {file} (planner.weights) do not exist")
+    if config.planner.name == "summary":
+        return Files(path, ())
     weights = config.encoder.weights if config.encoder.name in ("auto", "embedded") else None
     return Files(path, embedded_encoder.files(weights))
 
@@ -146,31 +147,37 @@ def load_planner(config: Config) -> AmortizedPlanner | None:
     files = planner_files(config)
     if files is None:
         return None
-    network, encoder = _loaded(files.planner, embedded_encoder.opened(files.encoder[0]))
+    network = _opened(files.planner)
     if network.settings.kind != config.planner.name:
         raise InputError(
             f"planner weights {network.path} are of a planner `{network.settings.kind}`, "
             f"planner.name asks for `{config.planner.name}`"
         )
+    if not files.encoder:
+        return AmortizedPlanner(network, None, config)
+    encoder = embedded_encoder.opened(files.encoder[0])
+    _fits(network, encoder)
     return AmortizedPlanner(network, encoder, config)
 
 
 @cache
-def _loaded(path: Path, encoder: EmbeddedEncoder) -> tuple[Network, EmbeddedEncoder]:
-    """Both are read once in a process: every episode makes a policy of its own."""
-    network = Network(path)
+def _opened(path: Path) -> Network:
+    """Read once in a process: every episode makes a policy of its own."""
+    return Network(path)
+
+
+def _fits(network: Network, encoder: EmbeddedEncoder) -> None:
     for name, digest in encoder.settings.sha256.items():
         if network.settings.encoder.get(name) != digest:
             raise InputError(
-                f"{path} was trained with another encoder than {encoder.path} (its {name} differs); "
+                f"{network.path} was trained with another encoder than {encoder.path} (its {name} differs); "
                 "train it anew, or give encoder.weights"
             )
     if encoder.dimensions != network.settings.dimensions:
         raise InputError(
-            f"{path} was trained on vectors of {network.settings.dimensions} dimensions, "
+            f"{network.path} was trained on vectors of {network.settings.dimensions} dimensions, "
             f"the encoder `{encoder.name}` gives {encoder.dimensions}"
         )
-    return network, encoder
 
 
 def _read(path: Path) -> tuple[Settings, bytes]:

@@ -1,9 +1,10 @@
-"""What a view says about where the candidates are, in a few numbers: input of the extended planner.
+"""What a view says about where the candidates are, in a few numbers: what the planner `summary` reads.
 
     pitch (one of 3) | S averaged over 4×3 cells | best detection | second best | how many
 
 S is the semantic map of the candidates. The best detection is described by its score, its middle, its size,
 its depth, its grounding score and which borders of the picture it touches; absent things are zeros.
+`mirrored` is what the same scene would give seen in a mirror: going left is then going right.
 """
 
 from __future__ import annotations
@@ -44,6 +45,24 @@ def summarize(situation: Situation, config: Config) -> np.ndarray:
         second[:] = (order[1].score, *_middle(order[1].mask))
     parts = (pitch, cells.reshape(-1), best, second, [len(order) / 10.0])
     return np.concatenate(parts).astype(np.float32)
+
+
+def mirrored(summaries: np.ndarray) -> np.ndarray:
+    """(N, 29) → (N, 29): left and right exchanged, in cells, borders and where a detection's middle is."""
+    at = {name: i for i, name in enumerate(NAMES)}
+    source = np.arange(len(NAMES))
+    for row in range(CELLS[1]):
+        for column in range(CELLS[0]):
+            source[at[f"semantic_{row}{column}"]] = at[f"semantic_{row}{CELLS[0] - 1 - column}"]
+    source[at["best_touches_left"]], source[at["best_touches_right"]] = (
+        at["best_touches_right"],
+        at["best_touches_left"],
+    )
+    turned = summaries[:, source]
+    for which in ("best", "second"):
+        there, x = summaries[:, at[f"{which}_score"]] > 0, at[f"{which}_x"]
+        turned[there, x] = 1.0 - summaries[there, x]
+    return turned
 
 
 def _described(detection: Detection, situation: Situation, config: Config) -> list[float]:

@@ -79,18 +79,18 @@ def choices(data: Transitions, values: Callable[[int], np.ndarray]) -> Choices:
 
 def by_network(data: Transitions, network: Network) -> Callable[[int], np.ndarray]:
     """Predictions of a network from the stored features. Raises InputError for features of another length."""
+    if network.settings.kind == "summary":
+        return lambda state: network.values(summary=data.summary[state])
     if data.feature.shape[1] != network.settings.dimensions:
         raise InputError(
             f"{network.path} takes vectors of {network.settings.dimensions} dimensions, "
             f"the transitions have {data.feature.shape[1]}"
         )
-    return lambda state: network.values(
-        data.feature[state], data.texts[data.context[state]], data.summary[state]
-    )
+    return lambda state: network.values(image=data.feature[state], object=data.texts[data.context[state]])
 
 
 def decision_seconds(values: Callable[[int], np.ndarray], calls: int = 200) -> float:
-    """Median time of predicting all 15 actions, the encoder's vectors given."""
+    """Median time of predicting all 15 actions, what the network reads being given."""
     spent = []
     for _ in range(calls):
         began = time.perf_counter()
