@@ -16,6 +16,7 @@ from fuse_grounding.benchmark.driver import Listener, Means, Outcome, Plan, run_
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
 from fuse_grounding.errors import InputError
+from fuse_grounding.planning.amortized import KINDS
 from fuse_grounding.registry import unknown
 
 
@@ -62,6 +63,10 @@ _PARTS: dict[str, tuple[Part, ...]] = {
         _fuse("evidence_pixel"),  # with the configured segmenter
         _if_there("evidence_embedded_patches", segmenter={"name": "embedded_patches", **_ITS_OWN}),
         _if_there("evidence_clip_patches", segmenter={"name": "clip_patches", **_ITS_OWN}),
+    ),
+    "planner": tuple(
+        Part(f"planner_{kind}", ("amortized", "fuse"), {"planner": {"name": kind, "weights": None}})
+        for kind in KINDS
     ),
     "eta": tuple(_fuse(f"eta_{eta}", gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
     "weights": tuple(

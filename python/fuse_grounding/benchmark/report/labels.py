@@ -23,6 +23,7 @@ PARTS = {
     "knowledge": "Knowledge sources",
     "stopping": "Stopping",
     "evidence": "Semantic evidence",
+    "planner": "Learned planner",
     "eta": "Gate threshold",
     "weights": "Evidence weights",
 }
