@@ -112,6 +112,8 @@ class Session:
         self._config, self._parts, self._watchers = config, parts, watchers
         node, pitch_index = position
         self._node = None if node is None else whole("node", node, 0, config.camera.nodes - 1)
+        self._visited: list[tuple[int, int]] = []
+        self._ring = 0
         self._pitch_index = whole("pitch_index", pitch_index, 0, len(config.camera.pitches_deg) - 1)
         whole("episode_index", episode_index)
         self.query = parts.understand(query)
@@ -238,6 +240,7 @@ class Session:
         # All is sound: only now is it believed.
         self._node = self._node if seen.node is None else seen.node
         self._pitch_index = self._pitch_index if seen.pitch_index is None else seen.pitch_index
+        self._visited.append((self._ring if self._node is None else self._node, self._pitch_index))
         if seen.depth is None:
             self.announce("no depth: the depth term of the score is off, and the object is not located")
         elif seen.camera is None and self.spatial is None:
@@ -302,12 +305,14 @@ class Session:
             depth=view.observation.depth,
             pitch_index=view.observation.pitch_index,
             node=view.observation.node,
+            visited=tuple(self._visited),
         )
 
     def _move(self, decision: Decision, action: int) -> Move:
         """The move for a decision, with the account of where it leads."""
         ring, pitch = action % 5 - 2, action // 5 - 1
         self._node = None if self._node is None else (self._node + ring) % self._config.camera.nodes
+        self._ring += ring
         self._pitch_index += pitch
         return Move(action, ring, pitch, decision)
 

@@ -112,6 +112,8 @@ class ExplicitConfig(Section):
     """One- and two-node moves share a region and tie; this one is taken. Not in the paper."""
     noop: bool = False
     """Whether staying put may be chosen. Ours: it would be scored by the whole image."""
+    revisit: bool = True
+    """Whether a view that was seen before may be chosen though new ones are in reach. Not in the paper."""
     every_step: bool = False
     """Also compute the evidence of the last view, where nothing is decided."""
 

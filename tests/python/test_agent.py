@@ -130,6 +130,29 @@ def test_a_robot_stepping_itself_gets_the_same_episode():
     )
 
 
+@pytest.mark.parametrize("node", [35, None])
+def test_a_policy_is_told_which_views_were_seen(node: int | None):
+    class Retrace(Walk):
+        """Right, left, down, up and two to the right, and keeps what it was told."""
+
+        def __init__(self) -> None:
+            self.told: list[list[tuple[int, int]]] = []
+
+        def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
+            self.told.append(list(situation.visited))
+            return Decision((8, 6, 12, 2, 9)[len(self.told) - 1], "walk")
+
+    policy = Retrace()
+    kit = Kit("random", lambda node, pitch: 0.5, CONFIG.with_(budget={"actions": 5}), policy=policy)
+    session, seen = Agent(kit.config, kit.parts).start("cut", node=node), World().observe()
+    while not isinstance(session.step(seen.rgb), Grounded):
+        pass
+    at = 0 if node is None else node
+    ring = [at, (at + 1) % 36, at, at, at]
+    assert policy.told[-1] == list(zip(ring, [1, 1, 1, 2, 1], strict=True))
+    assert [len(told) for told in policy.told] == [1, 2, 3, 4, 5]
+
+
 @pytest.mark.parametrize(("method", "node", "actions"), [("static", 0, 0), ("canonical", None, 1)])
 def test_looking_once(method: str, node: int | None, actions: int):
     kit = Kit(method, lambda node, pitch: 0.9 if node == 35 else 0.4)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from fuse_grounding.config import Config
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.knowledge.protocol import Candidate
 from fuse_grounding.perception.protocol import Detection
-from fuse_grounding.planning.explicit import Explicit, evidence_maps
+from fuse_grounding.planning.explicit import Explicit, evidence_maps, leads_on
 from fuse_grounding.planning.protocol import Rendering, Situation
 from fuse_grounding.planning.random_walk import RandomWalk
 from fuse_grounding.record import Stopwatch
@@ -82,6 +83,29 @@ def test_two_node_moves_and_staying_are_options():
     decision = Explicit("semantic_only", stay).decide(situation(everywhere), Stopwatch())
     assert decision.values is not None
     assert np.isfinite(decision.values[7])
+
+
+def test_a_search_that_does_not_revisit_takes_new_views_while_there_are_any():
+    onward = Config().with_(explicit={"revisit": False})
+    policy, seen = Explicit("semantic_only", onward), situation(region(slice(0, 40), slice(30, 60)))
+
+    def chosen(visited: list[tuple[int, int]]) -> int | None:
+        return policy.decide(replace(seen, visited=visited), Stopwatch()).action
+
+    around = [((30 + i) % 36, 1) for i in range(36)]  # always to the right: once around the ring
+    assert [chosen(around[:n]) for n in (1, 2, 7, 35)] == [8, 8, 8, 8]
+    assert chosen([(3, 1), (4, 1), (3, 1)]) == 9  # the next node is known, that beyond is not
+    assert leads_on(around, 36).tolist() == [True] * 5 + [False] * 5 + [True] * 5
+    assert chosen(around) in range(10, 15)
+    everything = [(node, level) for level in (0, 2, 1) for node in range(36)]
+    assert chosen(everything) == 8  # nothing new is left: as usual
+    assert chosen([]) == 8
+    assert (
+        Explicit("semantic_only", Config())
+        .decide(replace(seen, visited=[(3, 1), (4, 1), (3, 1)]), Stopwatch())
+        .action
+        == 8
+    )  # the paper's: nothing is remembered
 
 
 def test_geometry_looks_where_the_map_is_wrong():

@@ -73,10 +73,25 @@ _PARTS: dict[str, tuple[Part, ...]] = {
         _fuse(f"weights_{s:g}_{g:g}", evidence={"semantic_weight": s, "geometric_weight": g})
         for s, g in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0), (1.0, 0.0), (0.0, 1.0))
     ),
+    "search": tuple(
+        Part(
+            f"search_{coupled}_{stride}{'' if revisit else '_onward'}",
+            ("explicit",),
+            {"explicit": {"coupled": coupled, "stride": stride, "revisit": revisit}},
+        )
+        for coupled in ("union", "quadrant")
+        for stride in ("one", "two")
+        for revisit in (True, False)
+    ),
 }
 
-SUITES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in _PARTS}, "paper": tuple(_PARTS)}
-"""Suite → groups of parts: the paper's main table, its ablations each for itself, or all of it."""
+_NOT_THE_PAPERS = ("search",)
+SUITES: dict[str, tuple[str, ...]] = {
+    **{name: (name,) for name in _PARTS},
+    "paper": tuple(name for name in _PARTS if name not in _NOT_THE_PAPERS),
+}
+"""Suite → groups of parts: the paper's main table, its ablations each for itself, or all of it. `search` has
+readings of explicit search that the paper leaves open, to choose among on development episodes."""
 
 
 def plans(

@@ -9,6 +9,7 @@ Geometric Evidence"). `semantic_only` plans on S alone, `geometry_only` on U_geo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -37,11 +38,12 @@ class Explicit:
         explicit = self._config.explicit
         with clock("plan"):
             scores = evidence.action_scores(maps.field, coupled=explicit.coupled)
-            action = evidence.choose_action(
-                scores, situation.feasible, stride=explicit.stride, noop=explicit.noop
-            )
             considered = situation.feasible.copy()
             considered[evidence.NOOP] &= explicit.noop
+            if not explicit.revisit:
+                fresh = considered & leads_on(situation.visited, self._config.camera.nodes)
+                considered = fresh if fresh.any() else considered
+            action = evidence.choose_action(scores, considered, stride=explicit.stride, noop=explicit.noop)
             values = np.where(considered, scores, np.nan)
         return Decision(action, self._kind, values, maps=maps)
 
@@ -65,6 +67,16 @@ class Explicit:
         assert situation.scene is not None
         with clock("render"):
             return situation.scene.render(situation.camera)
+
+
+def leads_on(visited: Sequence[tuple[int, int]], nodes: int) -> np.ndarray:
+    """(15,) bool: the actions that lead from the last of `visited` to none of them, on a ring of `nodes`."""
+    fresh = np.ones(15, bool)
+    if visited:
+        (position, pitch), seen = visited[-1], {(ring % nodes, level) for ring, level in visited}
+        for action in range(15):
+            fresh[action] = ((position + action % 5 - 2) % nodes, pitch + action // 5 - 1) not in seen
+    return fresh
 
 
 def semantic_map(situation: Situation, config: Config) -> np.ndarray:

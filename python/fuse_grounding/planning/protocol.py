@@ -39,7 +39,8 @@ class Situation:
 
     `rgb` (H, W, 3) uint8; `feasible` (15,) bool by action index; `camera` the registered camera;
     `scene` the map; both None for methods that neither register nor map. `depth` (H, W) metres,
-    `node` and `pitch_index` where they are known.
+    `node` and `pitch_index` where they are known. `visited` are the viewpoints seen in this search, this one
+    last, as (ring position, pitch index): the node, or without one the nodes moved since the start.
     """
 
     index: int
@@ -52,6 +53,7 @@ class Situation:
     depth: np.ndarray | None = None
     pitch_index: int | None = None
     node: int | None = None
+    visited: Sequence[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ PARTS = {
     "planner": "Learned planner",
     "eta": "Gate threshold",
     "weights": "Evidence weights",
+    "search": "Readings of explicit search",
 }
 """Parts of the suite in the order of the page; others follow under their own names."""
 
