@@ -131,6 +131,15 @@ def test_one_method_with_two_results_is_refused_and_with_one_counted_once(tmp_pa
     )
 
 
+def test_times_that_were_measured_alone_are_taken_before_those_beside_others(tmp_path: Path):
+    beside = write_folder(tmp_path / "beside", ["fuse"], concurrent=True, wall_seconds=9.0)
+    alone = write_folder(tmp_path / "timing", ["fuse"], DEV[:3], concurrent=False, wall_seconds=4.0)
+    for order in ([beside, alone], [alone, beside]):
+        (arm,) = load(order).parts[0].arms
+        seconds = {e: r["wall_seconds"] for e, r in arm.rows.items()}
+        assert seconds == {e.episode_id: 4.0 if e in DEV[:3] else 9.0 for e in DEV}
+
+
 def test_episodes_of_one_name_must_be_one_episode(tmp_path: Path):
     twin = Episode(DEV[0].text.replace(str(DEV[0].seed), "7"))
     assert twin.text != DEV[0].text

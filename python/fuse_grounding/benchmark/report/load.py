@@ -245,13 +245,15 @@ def _source(arm: Arm) -> Any:
 
 
 def _add(arm: Arm, row: Row, folder: Folder) -> None:
-    known = arm.rows.setdefault(row["episode_id"], row)
-    if known is not row and _result(known) != _result(row):
+    known = arm.rows.get(row["episode_id"])
+    if known is not None and _result(known) != _result(row):
         others = [f.path for f in arm.folders if f is not folder]
         raise InputError(
             f"{', '.join(map(str, others))} and {folder.path} both have method `{arm.method}` under the same "
             f"settings, with different results of episode {row['episode_id']}; report one of them"
         )
+    if known is None or (known.get("concurrent") and not row.get("concurrent")):
+        arm.rows[row["episode_id"]] = row  # of equal results, the one whose times are a measurement
 
 
 def _result(row: Row) -> dict[str, Any]:
