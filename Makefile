@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 NATIVE := $(shell find crates src -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock pyproject.toml
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test bench bench-peers install lint test-rust test-python test-doors test-wheel data weights clean
+.PHONY: demo test bench bench-peers results install lint test-rust test-python test-doors test-wheel data weights clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -88,6 +88,19 @@ data: install
 	$(BIN)/fuse episodes scenes --sheets docs/images/scenes
 	$(BIN)/fuse episodes generate --split all --out python/fuse_grounding/data/episodes
 	for set in train dev eval large; do $(BIN)/fuse episodes card $$set --out docs/episodes || exit; done
+
+# Every table of docs/results, from nothing or from the rows that are kept there: hours, resumable.
+RESULTS := runs/results
+LARGE ?= 200
+results: install
+	@mkdir -p $(RESULTS)
+	@if [ -f docs/results/rows.tar.xz ]; then tar -xJf docs/results/rows.tar.xz -C $(RESULTS) --skip-old-files; fi
+	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
+	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --methods static,random,explicit,amortized,fuse --timing \
+		--resume --out $(RESULTS)/timing
+	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes large --limit $(LARGE) --methods \
+		static,random,explicit,amortized,fuse --jobs 2 --resume --out $(RESULTS)/large
+	$(BIN)/fuse report $(RESULTS)/paper $(RESULTS)/timing $(RESULTS)/large --out docs/results/report
 
 # Retrains the shipped networks; needs the `train` extra (torch), hours for the planner's transitions.
 weights: install
