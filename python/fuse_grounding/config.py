@@ -45,6 +45,14 @@ class BudgetConfig(Section):
     """Online actions T; one more observation is scored. Paper, "Implementation Details"."""
 
 
+class SearchConfig(Section):
+    """What explicit search and the learned planner choose among."""
+
+    revisit: bool = False
+    """Whether a view that was seen before may be chosen though new ones are in reach. The paper does not
+    forbid it; chosen on development episodes (docs/models/planner.md)."""
+
+
 class GateConfig(Section):
     """When the amortised planner is trusted."""
 
@@ -112,8 +120,6 @@ class ExplicitConfig(Section):
     """One- and two-node moves share a region and tie; this one is taken. Not in the paper."""
     noop: bool = False
     """Whether staying put may be chosen. Ours: it would be scored by the whole image."""
-    revisit: bool = True
-    """Whether a view that was seen before may be chosen though new ones are in reach. Not in the paper."""
     every_step: bool = False
     """Also compute the evidence of the last view, where nothing is decided."""
 
@@ -298,6 +304,7 @@ class Config(Section):
     """What searches; `fuse_grounding.benchmark.methods` lists them. `package.module:factory` is yours."""
     camera: CameraConfig = CameraConfig()
     budget: BudgetConfig = BudgetConfig()
+    search: SearchConfig = SearchConfig()
     gate: GateConfig = GateConfig()
     planner: PlannerConfig = PlannerConfig()
     stopping: StoppingConfig = StoppingConfig()

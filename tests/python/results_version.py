@@ -103,7 +103,7 @@ def rounded(value: Any) -> Any:
 
 def gated(config: Config) -> Any:
     """A factory of the policy of `fuse`, with the pendulum as its planner."""
-    return lambda episode: Gated(Pendulum(), Explicit("explicit", config), config.gate)
+    return lambda episode: Gated(Pendulum(), Explicit("explicit", config), config)
 
 
 def play() -> dict[str, Any]:

@@ -183,7 +183,7 @@ def gated(planner: Sure | None, config: Config = CONFIG) -> tuple[Grounded, Kit]
     from fuse_grounding.planning.explicit import Explicit
     from fuse_grounding.planning.gated import Gated
 
-    policy = Gated(planner, Explicit("explicit", config), config.gate)
+    policy = Gated(planner, Explicit("explicit", config), config)
     kit = Kit("fuse", lambda node, pitch: 0.5, config, policy=policy)
     return Agent(kit.config, kit.parts).run(World(pitch_index=0), "cut"), kit
 

@@ -51,7 +51,8 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     assert by_name["stopping_k3"].settings.stopping.weights == (0.7, 0.0)
     assert by_name["eta_0.6"].settings.gate.eta == 0.6
     assert by_name["eta_0.8"].settings == by_name["weights_1_1"].settings == Config()
-    assert by_name["planner_plain"].settings == Config()
+    assert by_name["planner_plain"].settings == by_name["revisit_left_out"].settings == Config()
+    assert by_name["revisit_allowed"].settings.search.revisit
     for plan in found:
         assert set(plan.optional) <= set(plan.methods)
     with pytest.raises(InputError, match="unknown suite `pape`; did you mean `paper`"):

@@ -133,6 +133,22 @@ def test_the_policy_takes_the_best_feasible_action(encoder: Path, tmp_path: Path
     assert "predict" in clock.seconds
 
 
+def test_the_learned_planner_goes_on_to_new_views_too(encoder: Path, tmp_path: Path):
+    values = np.zeros(15)
+    values[7], values[8], values[9] = 0.9, 0.6, 0.3  # stay, or go right, where it has been
+    planner = write_planner(tmp_path / "p.onnx", encoder, values=values)
+    been = replace(situation(), visited=[(0, 2), (35, 2)])
+    for method in ("amortized", "fuse"):
+        for revisit, action in ((False, 9), (True, 7)):
+            chosen, config = resolve(
+                settings(encoder, planner, method=method).with_(search={"revisit": revisit})
+            )
+            decision = chosen.policy(config, 0).decide(been, Stopwatch())
+            assert (decision.branch, decision.action) == ("amortized", action)
+            assert decision.values is not None
+            assert np.isnan(decision.values[[7, 8]]).all() == (not revisit)
+
+
 def test_the_gate_uses_it(encoder: Path, tmp_path: Path):
     values = np.zeros(15)
     values[8] = 1.0

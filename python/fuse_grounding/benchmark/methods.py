@@ -69,7 +69,7 @@ def _add(name: str, policy: Callable[[Config, int], Policy], **parts: Any) -> No
 
 
 def _fuse(config: Config, episode: int) -> Policy:
-    return Gated(load_planner(config), Explicit("explicit", config), config.gate)
+    return Gated(load_planner(config), Explicit("explicit", config), config)
 
 
 def _amortized(config: Config, episode: int) -> Policy:
@@ -79,7 +79,7 @@ def _amortized(config: Config, episode: int) -> Policy:
             f"method `amortized` needs a planner, and planner.name = {config.planner.name!r} brings none: "
             "none of that name ships; planner.weights names one of your own"
         )
-    return Amortized(planner)
+    return Amortized(planner, config)
 
 
 _add(

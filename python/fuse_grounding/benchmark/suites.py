@@ -68,6 +68,10 @@ _PARTS: dict[str, tuple[Part, ...]] = {
         Part(f"planner_{kind}", ("amortized", "fuse"), {"planner": {"name": kind, "weights": None}})
         for kind in KINDS
     ),
+    "revisit": tuple(
+        Part(f"revisit_{word}", ("explicit", "amortized", "fuse"), {"search": {"revisit": word == "allowed"}})
+        for word in ("left_out", "allowed")
+    ),
     "eta": tuple(_fuse(f"eta_{eta}", gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
     "weights": tuple(
         _fuse(f"weights_{s:g}_{g:g}", evidence={"semantic_weight": s, "geometric_weight": g})
@@ -75,13 +79,10 @@ _PARTS: dict[str, tuple[Part, ...]] = {
     ),
     "search": tuple(
         Part(
-            f"search_{coupled}_{stride}{'' if revisit else '_onward'}",
-            ("explicit",),
-            {"explicit": {"coupled": coupled, "stride": stride, "revisit": revisit}},
+            f"search_{coupled}_{stride}", ("explicit",), {"explicit": {"coupled": coupled, "stride": stride}}
         )
         for coupled in ("union", "quadrant")
         for stride in ("one", "two")
-        for revisit in (True, False)
     ),
 }
 

@@ -25,6 +25,7 @@ from fuse_grounding.perception import embedded_encoder, onnx
 from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
 from fuse_grounding.perception.protocol import Encoder
 from fuse_grounding.planning.context import nearest_candidate
+from fuse_grounding.planning.options import options
 from fuse_grounding.planning.protocol import Decision, Planner, Situation
 from fuse_grounding.planning.summary import NAMES, summarize
 from fuse_grounding.record import Stopwatch
@@ -94,12 +95,12 @@ class AmortizedPlanner:
 
 
 class Amortized:
-    """The action that the planner values most, staying included; the map is never asked."""
+    """The option that the planner values most; the map is never asked."""
 
     start: Literal["here"] = "here"
 
-    def __init__(self, planner: Planner) -> None:
-        self._planner = planner
+    def __init__(self, planner: Planner, config: Config) -> None:
+        self._planner, self._config = planner, config
 
     @property
     def planner(self) -> str:
@@ -107,9 +108,9 @@ class Amortized:
         return self._planner.name
 
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
-        """The best feasible action; ties go to the lowest index."""
+        """The best option; ties go to the lowest index."""
         with clock("predict"):
-            values = np.where(situation.feasible, self._planner.values(situation), np.nan)
+            values = np.where(options(situation, self._config), self._planner.values(situation), np.nan)
         return Decision(int(np.nanargmax(values)), "amortized", values)
 
 

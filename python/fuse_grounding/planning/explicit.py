@@ -1,6 +1,6 @@
 """Explicit evidence exploration: look where the evidence is, by half images.
 
-    E = w_s S + w_g U_geo,   Q(a) = mean of E over the region of a,   a* = argmax over feasible a
+    E = w_s S + w_g U_geo,   Q(a) = mean of E over the region of a,   a* = argmax over the options
 
 S is the semantic map of the candidates, U_geo the inverted SSNR between the picture and a rendering
 of the map after it was refined with that picture (paper, Eq. for E; supplement, "Semantic and
@@ -9,13 +9,13 @@ Geometric Evidence"). `semantic_only` plans on S alone, `geometry_only` on U_geo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from fuse_grounding import evidence
 from fuse_grounding.config import Config
+from fuse_grounding.planning.options import options
 from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Rendering, Situation
 from fuse_grounding.record import Stopwatch
 
@@ -38,11 +38,8 @@ class Explicit:
         explicit = self._config.explicit
         with clock("plan"):
             scores = evidence.action_scores(maps.field, coupled=explicit.coupled)
-            considered = situation.feasible.copy()
+            considered = options(situation, self._config)
             considered[evidence.NOOP] &= explicit.noop
-            if not explicit.revisit:
-                fresh = considered & leads_on(situation.visited, self._config.camera.nodes)
-                considered = fresh if fresh.any() else considered
             action = evidence.choose_action(scores, considered, stride=explicit.stride, noop=explicit.noop)
             values = np.where(considered, scores, np.nan)
         return Decision(action, self._kind, values, maps=maps)
@@ -67,16 +64,6 @@ class Explicit:
         assert situation.scene is not None
         with clock("render"):
             return situation.scene.render(situation.camera)
-
-
-def leads_on(visited: Sequence[tuple[int, int]], nodes: int) -> np.ndarray:
-    """(15,) bool: the actions that lead from the last of `visited` to none of them, on a ring of `nodes`."""
-    fresh = np.ones(15, bool)
-    if visited:
-        (position, pitch), seen = visited[-1], {(ring % nodes, level) for ring, level in visited}
-        for action in range(15):
-            fresh[action] = ((position + action % 5 - 2) % nodes, pitch + action // 5 - 1) not in seen
-    return fresh
 
 
 def semantic_map(situation: Situation, config: Config) -> np.ndarray:

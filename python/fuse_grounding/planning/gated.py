@@ -2,7 +2,7 @@
 
     H = -1/log|A| sum_a p(a) log p(a),  p = softmax(values / temperature);  amortised iff H <= eta
 
-over the feasible actions A (supplement, "Confidence Gate").
+over the options A, which are the feasible actions (supplement, "Confidence Gate") that lead to a new view.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from fuse_grounding import evidence
-from fuse_grounding.config import GateConfig
+from fuse_grounding.config import Config
+from fuse_grounding.planning.options import options
 from fuse_grounding.planning.protocol import Decision, Planner, Policy, Situation
 from fuse_grounding.record import Stopwatch
 
@@ -25,10 +26,10 @@ class Gated:
 
     start: Literal["here"] = "here"
 
-    def __init__(self, planner: Planner | None, explicit: Policy, gate: GateConfig):
+    def __init__(self, planner: Planner | None, explicit: Policy, config: Config):
         self._planner = planner
         self._explicit = explicit
-        self._gate = gate
+        self._config = config
 
     @property
     def planner(self) -> str:
@@ -39,14 +40,14 @@ class Gated:
         """The gate, then one of the branches; the map is refined only by the explicit one."""
         if self._planner is None:
             return replace(self._explicit.decide(situation, clock), reason=NO_PLANNER)
+        gate = self._config.gate
         with clock("predict"):
             predicted = np.asarray(self._planner.values(situation), np.float32)
-            values = np.where(situation.feasible, predicted, np.nan)
-            entropy = evidence.action_entropy(
-                predicted, temperature=self._gate.temperature, mask=situation.feasible
-            )
-        if entropy <= self._gate.eta:
-            reason = f"entropy {entropy:.3f} <= {self._gate.eta}"
+            considered = options(situation, self._config)
+            values = np.where(considered, predicted, np.nan)
+            entropy = evidence.action_entropy(predicted, temperature=gate.temperature, mask=considered)
+        if entropy <= gate.eta:
+            reason = f"entropy {entropy:.3f} <= {gate.eta}"
             return Decision(int(np.nanargmax(values)), "amortized", values, entropy, reason)
-        reason = f"entropy {entropy:.3f} > {self._gate.eta}"
+        reason = f"entropy {entropy:.3f} > {gate.eta}"
         return replace(self._explicit.decide(situation, clock), entropy=entropy, reason=reason)

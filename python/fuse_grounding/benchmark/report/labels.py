@@ -24,6 +24,7 @@ PARTS = {
     "stopping": "Stopping",
     "evidence": "Semantic evidence",
     "planner": "Learned planner",
+    "revisit": "Views seen before",
     "eta": "Gate threshold",
     "weights": "Evidence weights",
     "search": "Readings of explicit search",
