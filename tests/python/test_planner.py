@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from fuse_grounding.config import Config
 from fuse_grounding.environment import load_episodes
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.knowledge.protocol import Candidate
+from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
 from fuse_grounding.perception.protocol import Detection
-from fuse_grounding.planning.amortized import WEIGHTS, Network, load_planner
+from fuse_grounding.planning.amortized import KINDS, WEIGHTS, Network, load_planner, shipped
 from fuse_grounding.planning.context import nearest_candidate
 from fuse_grounding.planning.protocol import Situation
 from fuse_grounding.planning.summary import NAMES, mirrored, summarize
@@ -450,6 +452,19 @@ def test_the_command_trains_and_judges(tmp_path: Path, encoder: Path, capsys: py
     source.write_bytes(tables(8).encode({}))
     assert execute(judged) == 2
     assert "does not say of which split it is" in capsys.readouterr().err
+
+
+def test_what_ships_was_trained_on_the_transitions_that_the_repository_keeps():
+    kept = Path(__file__).parents[2] / "data" / "planner" / "transitions.safetensors"
+    data, note = transitions.load(kept)
+    card = json.loads(kept.with_suffix(".json").read_text())
+    digest = hashlib.sha256(kept.read_bytes()).hexdigest()
+    assert (card["sha256"], card["transitions"], note["split"]) == (digest, len(data), "train")
+    assert kept.stat().st_size <= 10e6
+    assert note["encoder"] == EmbeddedEncoder().settings.sha256
+    for kind in KINDS:
+        settings = Network(shipped(kind)).settings
+        assert (settings.kind, settings.transitions) == (kind, digest)
 
 
 # -- the gate's threshold -----------------------------------------------------------------------------
