@@ -56,8 +56,9 @@ class SearchConfig(Section):
 class GateConfig(Section):
     """When the amortised planner is trusted."""
 
-    eta: Fraction = 0.8
-    """Normalised entropy up to which the amortised branch decides. Supplement, "Confidence Gate"."""
+    eta: Fraction = 0.9
+    """Normalised entropy up to which the amortised branch decides. Supplement, "Confidence Gate" (there 0.8);
+    chosen by `fuse tune gate` on five development episodes, where all four values tie (weights/gate.json)."""
     temperature: Positive = 0.1
     """Softmax temperature. Supplement, "Confidence Gate" (the text says 1, at which the gate never opens)."""
 

@@ -169,7 +169,7 @@ def test_folders_inside_a_folder_are_found_and_named_without_their_place(tmp_pat
 
 def test_parts_of_a_suite_are_compared_within_their_group(tmp_path: Path):
     write_folder(tmp_path / "s" / "eta_0.6", ["fuse"], part="eta_0.6", settings={"gate": {"eta": 0.6}})
-    write_folder(tmp_path / "s" / "eta_0.8", ["fuse"], part="eta_0.8")
+    write_folder(tmp_path / "s" / "eta_0.8", ["fuse"], part="eta_0.8", settings={"gate": {"eta": 0.8}})
     for path in (tmp_path / "s").iterdir():
         header = json.loads((path / HEADER).read_text())
         missing = [{"name": "eta_0.9", "reason": "no time"}]
@@ -266,7 +266,7 @@ def test_an_ablation_is_compared_with_the_default_settings(tmp_path: Path):
     assert [c.key for c in made.columns[:2]] == ["gate.eta", "episodes"]
     assert [r.cells[0].value for r in table(report, "dev_eta_paired_success").rows] == [
         "eta = 0.6",
-        "eta = 0.9",
+        "eta = 0.8",
     ]
 
 
