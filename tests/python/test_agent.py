@@ -212,7 +212,7 @@ def test_the_gate_stays_shut_for_an_unsure_planner():
 
 
 def test_without_a_planner_every_decision_is_explicit_and_says_so():
-    kit = Kit("fuse", lambda node, pitch: 0.5)
+    kit = Kit("fuse", lambda node, pitch: 0.5, CONFIG.with_(planner={"name": "none"}))
     record = Agent(kit.config, kit.parts).run(World(), "cut").record
     decided = [s for s in record.steps if s.action is not None]
     assert decided
