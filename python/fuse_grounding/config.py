@@ -56,9 +56,9 @@ class SearchConfig(Section):
 class GateConfig(Section):
     """When the amortised planner is trusted."""
 
-    eta: Fraction = 0.9
+    eta: Fraction = 0.6
     """Normalised entropy up to which the amortised branch decides. Supplement, "Confidence Gate" (there 0.8);
-    chosen by `fuse tune gate` on five development episodes, where all four values tie (weights/gate.json)."""
+    chosen by `fuse tune gate` on five development episodes, where the four values nearly tie (gate.json)."""
     temperature: Positive = 0.1
     """Softmax temperature. Supplement, "Confidence Gate" (the text says 1, at which the gate never opens)."""
 
@@ -134,6 +134,9 @@ class EvidenceConfig(Section):
     """w_g. Supplement, "Semantic and Geometric Evidence"."""
     normalize_semantic: bool = False
     """Stretch S to [0, 1] (paper, text) instead of keeping the scores (supplement)."""
+    within_reach: bool = True
+    """Weigh U_geo in E by each pixel's depth proximity, of `stopping.near_m` and `far_m`; not without depth.
+    Ours: as in the paper, a blank wall, of which SSNR says nothing (0 dB), outweighs the table."""
 
 
 class RegistrationConfig(Section):

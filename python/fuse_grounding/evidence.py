@@ -32,6 +32,7 @@ __all__ = [
     "fuse",
     "geometric_uncertainty",
     "grounding_score",
+    "proximity_map",
     "regions",
     "semantic_map",
     "ssnr",
@@ -106,6 +107,18 @@ def fuse(
 ) -> NDArray[np.float32]:
     """E = w_s S + w_g U_geo, (H, W) float32, of two such maps."""
     return _core.fuse_maps(semantic, geometric, semantic_weight, geometric_weight)
+
+
+def proximity_map(depth: np.ndarray, *, near: float = 0.3, far: float = 1.2) -> NDArray[np.float32]:
+    """1 - clip((depth - near) / (far - near), 0, 1) of every pixel, (H, W) float32; 0 without a valid depth.
+
+    `depth`: (H, W) float32 in metres. The same measure as `depth_proximity`, which is of a region.
+    """
+    if not 0 < near < far:
+        raise InputError(f"near and far must be distances with near < far, found {near} and {far}")
+    valid = np.isfinite(depth) & (depth > 0)
+    away = np.clip((np.where(valid, depth, far) - near) / (far - near), 0.0, 1.0)
+    return (1.0 - away).astype(np.float32)
 
 
 def functional_uncertainty(semantic: np.ndarray, geometric: np.ndarray) -> NDArray[np.float32]:

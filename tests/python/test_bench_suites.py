@@ -49,10 +49,10 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     assert by_name["stopping_k5_depth"].settings == Config()  # as `fuse` of main
     assert by_name["stopping_k3"].settings.stopping.patience == 3
     assert by_name["stopping_k3"].settings.stopping.weights == (0.7, 0.0)
-    assert by_name["eta_0.6"].settings.gate.eta == 0.6
-    assert by_name["eta_0.9"].settings == by_name["weights_1_1"].settings == Config()
+    assert by_name["eta_0.6"].settings == by_name["weights_1_1"].settings == Config()
     assert by_name["planner_plain"].settings == by_name["revisit_left_out"].settings == Config()
     assert by_name["revisit_allowed"].settings.search.revisit
+    assert not by_name["reach_not_weighed"].settings.evidence.within_reach
     for plan in found:
         assert set(plan.optional) <= set(plan.methods)
     with pytest.raises(InputError, match="unknown suite `pape`; did you mean `paper`"):
@@ -69,7 +69,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     groups = {
         "main": (Part("main", ("static", "bench_doubles:walk", "vlm"), optional=("vlm",)),),
         "eta": (
-            Part("eta_0.9", static, {"gate": {"eta": 0.9}}),
+            Part("eta_0.6", static, {"gate": {"eta": 0.6}}),
             Part("eta_0.5", static, {"gate": {"eta": 0.5}}),
             Part("eta_none", static, {"encoder": {"weights": "none.onnx"}}, optional=static),
         ),
@@ -85,22 +85,22 @@ def test_parts_share_rows_of_one_identity_and_list_what_was_not_run(
     out = tmp_path / "s"
     assert execute(arguments(out, "small")) == 0
     printed = capsys.readouterr().out
-    assert sorted(p.name for p in out.iterdir()) == ["eta_0.5", "eta_0.9", "main"]
-    assert str(Path("eta_0.9") / RESULTS) in printed
+    assert sorted(p.name for p in out.iterdir()) == ["eta_0.5", "eta_0.6", "main"]
+    assert str(Path("eta_0.6") / RESULTS) in printed
     assert "1 rows are asked for by several parts, and are run once" in printed
     assert "vlm was not run: " in printed
     assert "static was not run: " in printed
     main = (out / "main" / RESULTS).read_text().splitlines()
     assert [json.loads(line)["method"] for line in main] == ["static", "walk"]
-    assert row(out / "eta_0.9") == json.loads(main[0])  # times, too
-    assert row(out / "eta_0.5")["identity"] != row(out / "eta_0.9")["identity"]
+    assert row(out / "eta_0.6") == json.loads(main[0])  # times, too
+    assert row(out / "eta_0.5")["identity"] != row(out / "eta_0.6")["identity"]
     assert {k: header(out / "main")[k] for k in ("suite", "group", "part")} == {
         "suite": "small",
         "group": "main",
         "part": "main",
     }
     assert [entry["name"] for entry in header(out / "main")["not_run"]] == ["vlm"]
-    for part in ("eta_0.9", "eta_0.5"):
+    for part in ("eta_0.6", "eta_0.5"):
         (entry,) = header(out / part)["not_run"]
         assert entry["name"] == "eta_none"
         assert "none.onnx" in entry["reason"]
@@ -110,7 +110,7 @@ def test_parts_share_rows_of_one_identity_and_list_what_was_not_run(
     told = json.loads(capsys.readouterr().out)
     assert {name: len(tables) for name, tables in told.items()} == {
         "main": 2,
-        "eta_0.9": 1,
+        "eta_0.6": 1,
         "eta_0.5": 1,
         "eta_none": 0,
     }

@@ -14,7 +14,7 @@ from fuse_grounding.errors import InputError
 
 def test_defaults_are_the_papers_constants():
     c = Config()
-    assert (c.gate.eta, c.gate.temperature) == (0.9, 0.1)
+    assert (c.gate.eta, c.gate.temperature) == (0.6, 0.1)
     assert (c.stopping.patience, c.budget.actions) == (5, 30)
     assert c.stopping.weights == (0.7, 0.3)
     assert (c.stopping.near_m, c.stopping.far_m, c.stopping.min_region_px) == (0.3, 1.2, 500)

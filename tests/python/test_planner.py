@@ -385,7 +385,7 @@ def choices(measured: list[list[float]], predicted: list[list[float]]) -> planne
     for table, rows in zip(full, (measured, predicted), strict=True):
         for i, row in enumerate(rows):
             table[i, 5 : 5 + len(row)] = row
-    return planner_score.Choices(full[0], full[1], np.array([0.2, 0.9]), np.arange(2))
+    return planner_score.Choices(full[0], full[1], np.array([0.2, 0.9]), np.arange(2), np.arange(2))
 
 
 def test_regret_is_what_the_best_action_would_have_added():

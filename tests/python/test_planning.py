@@ -140,6 +140,23 @@ def test_the_fields_are_the_formulas():
     np.testing.assert_allclose(evidence_maps(seen, None, weighted).field, 2 * semantic + 0.2, rtol=1e-6)
 
 
+def test_geometric_evidence_counts_by_reach():
+    depth = np.full((40, 60), 3.0, np.float32)  # a wall
+    depth[20:, :30], depth[20:, 30:], depth[30:, 30:] = 0.75, 0.3, np.nan
+    seen = replace(situation(region(slice(0, 20), slice(0, 30))), depth=depth)
+    semantic = np.where(region(slice(0, 20), slice(0, 30)), np.float32(0.9), 0)
+    reach = np.zeros((40, 60), np.float32)
+    reach[20:, :30], reach[20:30, 30:] = 0.5, 1.0
+    maps = evidence_maps(seen, None, Config())
+    assert maps.geometric is not None
+    np.testing.assert_allclose(maps.geometric, 0.4)  # the map's own does not depend on it
+    np.testing.assert_allclose(maps.field, semantic + 0.4 * reach, rtol=1e-6)
+    alone = evidence_maps(seen, None, Config(), geometry_only=True)
+    np.testing.assert_allclose(alone.field, 0.4 * reach, rtol=1e-6)
+    papers = Config().with_(evidence={"within_reach": False})
+    np.testing.assert_allclose(evidence_maps(seen, None, papers).field, semantic + 0.4, rtol=1e-6)
+
+
 def test_random_walks_repeat_by_seed_and_respect_the_mask():
     seen = situation(region(slice(0, 1), slice(0, 1)))
 

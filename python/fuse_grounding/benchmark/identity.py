@@ -16,7 +16,7 @@ from typing import Any
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
 
-RESULTS_VERSION = 3
+RESULTS_VERSION = 4
 """Raised by whoever changes what an episode comes to: decisions, scores or metrics (CONTRIBUTING.md).
 
 `tests/python/test_results_version.py` plays two recorded episodes and fails where they come out otherwise. A

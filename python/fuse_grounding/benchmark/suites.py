@@ -72,10 +72,20 @@ _PARTS: dict[str, tuple[Part, ...]] = {
         Part(f"revisit_{word}", ("explicit", "amortized", "fuse"), {"search": {"revisit": word == "allowed"}})
         for word in ("left_out", "allowed")
     ),
+    "reach": tuple(
+        Part(
+            f"reach_{word}", ("geometry_only", "explicit"), {"evidence": {"within_reach": word == "weighed"}}
+        )
+        for word in ("weighed", "not_weighed")
+    ),
     "eta": tuple(_fuse(f"eta_{eta}", gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
     "weights": tuple(
-        _fuse(f"weights_{s:g}_{g:g}", evidence={"semantic_weight": s, "geometric_weight": g})
-        for s, g in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0), (1.0, 0.0), (0.0, 1.0))
+        Part(
+            f"weights_{s:g}_{g:g}",
+            ("explicit",),  # which uses them at every decision; of 1, 0 and 0, 1 there are methods
+            {"evidence": {"semantic_weight": s, "geometric_weight": g}},
+        )
+        for s, g in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0))
     ),
     "search": tuple(
         Part(

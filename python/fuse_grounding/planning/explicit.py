@@ -1,10 +1,11 @@
 """Explicit evidence exploration: look where the evidence is, by half images.
 
-    E = w_s S + w_g U_geo,   Q(a) = mean of E over the region of a,   a* = argmax over the options
+    E = w_s S + w_g d U_geo,   Q(a) = mean of E over the region of a,   a* = argmax over the options
 
 S is the semantic map of the candidates, U_geo the inverted SSNR between the picture and a rendering
 of the map after it was refined with that picture (paper, Eq. for E; supplement, "Semantic and
-Geometric Evidence"). `semantic_only` plans on S alone, `geometry_only` on U_geo alone.
+Geometric Evidence"). d, ours, is each pixel's depth proximity; 1 with `evidence.within_reach = false`, as in
+the paper, and without depth. `semantic_only` plans on S alone, `geometry_only` on d U_geo alone.
 """
 
 from __future__ import annotations
@@ -35,13 +36,8 @@ class Explicit:
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
         """Refine, render, SSNR, fuse, score, choose."""
         maps = self._look(situation, clock)
-        explicit = self._config.explicit
         with clock("plan"):
-            scores = evidence.action_scores(maps.field, coupled=explicit.coupled)
-            considered = options(situation, self._config)
-            considered[evidence.NOOP] &= explicit.noop
-            action = evidence.choose_action(scores, considered, stride=explicit.stride, noop=explicit.noop)
-            values = np.where(considered, scores, np.nan)
+            action, values = choose(maps.field, options(situation, self._config), self._config)
         return Decision(action, self._kind, values, maps=maps)
 
     def _look(self, situation: Situation, clock: Stopwatch) -> EvidenceMaps:
@@ -64,6 +60,16 @@ class Explicit:
         assert situation.scene is not None
         with clock("render"):
             return situation.scene.render(situation.camera)
+
+
+def choose(field: np.ndarray, considered: np.ndarray, config: Config) -> tuple[int, np.ndarray]:
+    """The action whose region of `field` has the most evidence, and Q, NaN where not allowed; all (15,)."""
+    explicit = config.explicit
+    scores = evidence.action_scores(field, coupled=explicit.coupled)
+    allowed = considered.copy()
+    allowed[evidence.NOOP] &= explicit.noop
+    action = evidence.choose_action(scores, allowed, stride=explicit.stride, noop=explicit.noop)
+    return action, np.where(allowed, scores, np.nan)
 
 
 def semantic_map(situation: Situation, config: Config) -> np.ndarray:
@@ -94,12 +100,13 @@ def evidence_maps(
     )
     weights = (config.evidence.semantic_weight, config.evidence.geometric_weight)
     unresolved = evidence.functional_uncertainty(semantic, geometric)
+    wanted = _within_reach(geometric, situation.depth, config)
     if geometry_only:
-        field = geometric
+        field = wanted
     elif config.explicit.field == "uncertainty":
-        field = evidence.fuse(1 - semantic, geometric, *weights)
+        field = evidence.fuse(1 - semantic, wanted, *weights)
     else:
-        field = evidence.fuse(semantic, geometric, *weights)
+        field = evidence.fuse(semantic, wanted, *weights)
     return EvidenceMaps(
         semantic,
         geometric,
@@ -107,3 +114,11 @@ def evidence_maps(
         float(unresolved.mean(dtype=np.float64)),
         0.0 if rendered is None else rendered.coverage,
     )
+
+
+def _within_reach(geometric: np.ndarray, depth: np.ndarray | None, config: Config) -> np.ndarray:
+    """U_geo by how near each pixel is: what is too far to score needs no better look."""
+    if depth is None or not config.evidence.within_reach:
+        return geometric
+    stopping = config.stopping
+    return geometric * evidence.proximity_map(depth, near=stopping.near_m, far=stopping.far_m)

@@ -26,29 +26,31 @@ THRESHOLDS = (0.6, 0.7, 0.8, 0.9)
 @dataclass(frozen=True)
 class Choices:
     """States with every feasible action measured: `measured` and `predicted` (S, 15), NaN where
-    infeasible."""
+    infeasible; `state` (S,): its row."""
 
     measured: np.ndarray
     predicted: np.ndarray
     entropy: np.ndarray
     trajectory: np.ndarray
+    state: np.ndarray
 
     @property
     def top(self) -> np.ndarray:
         """(S,) regret of the action that is valued most."""
-        return self._regret(np.nanargmax(self.predicted, 1))
+        return self.regret(np.nanargmax(self.predicted, 1))
 
     @property
     def stay(self) -> np.ndarray:
         """(S,) regret of staying."""
-        return self._regret(np.full(len(self.measured), evidence.NOOP))
+        return self.regret(np.full(len(self.measured), evidence.NOOP))
 
     @property
     def random(self) -> np.ndarray:
         """(S,) expected regret of a feasible action at random."""
         return np.nanmax(self.measured, 1) - np.nanmean(self.measured, 1)
 
-    def _regret(self, action: np.ndarray) -> np.ndarray:
+    def regret(self, action: np.ndarray) -> np.ndarray:
+        """(S,) regret of one action a state, (S,) int."""
         return np.nanmax(self.measured, 1) - self.measured[np.arange(len(action)), action]
 
 
@@ -57,7 +59,7 @@ def choices(data: Transitions, values: Callable[[int], np.ndarray]) -> Choices:
 
     Raises InputError where no state has all its feasible actions measured.
     """
-    measured, predicted, entropy, trajectory = [], [], [], []
+    measured, predicted, entropy, trajectory, states = [], [], [], [], []
     for state in np.unique(data.before).tolist():
         rows = np.flatnonzero(data.before == state)
         row = np.full(15, np.nan)
@@ -70,11 +72,12 @@ def choices(data: Transitions, values: Callable[[int], np.ndarray]) -> Choices:
         predicted.append(np.where(feasible, guess, np.nan))
         entropy.append(evidence.action_entropy(guess, temperature=TEMPERATURE, mask=feasible))
         trajectory.append(data.trajectory[state])
+        states.append(state)
     if not measured:
         raise InputError(
             "no state has every feasible action measured: collect them with `fuse collect --exhaustive`"
         )
-    return Choices(np.array(measured), np.array(predicted), np.array(entropy), np.array(trajectory))
+    return Choices(*map(np.array, (measured, predicted, entropy, trajectory, states)))
 
 
 def by_network(data: Transitions, network: Network) -> Callable[[int], np.ndarray]:

@@ -7,7 +7,7 @@ and g alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -127,6 +127,12 @@ class Prober:
             here, scene.spatial, at = follow
         return Walk(number, scene.labels, states, moves)
 
+    def replay(self, episode: Episode, viewpoints: Sequence[Viewpoint]) -> Iterator[Situation]:
+        """What a search knows at each of `viewpoints`, the first being where the walk began."""
+        scene = _Scene(self, episode, viewpoints[0])
+        for step, at in enumerate(viewpoints):
+            yield scene.look(scene.spatial, at, step)[0]
+
 
 class _Scene:
     """An episode being walked through: its world, its truth, the map so far."""
@@ -146,8 +152,8 @@ class _Scene:
         for seed in seeds:
             self.spatial.map.add_seed(seed.rgb)
 
-    def visit(self, spatial: Spatial, at: Viewpoint, step: int) -> State:
-        """Looks from `at`, takes the view into `spatial`, measures."""
+    def look(self, spatial: Spatial, at: Viewpoint, step: int) -> tuple[Situation, Observation]:
+        """Looks from `at` and takes the view into `spatial`; the observation has the truth."""
         seen = self._world.render_at(*at)
         blind = replace(seen, instance=None)
         registered = spatial.registrar.register(blind)
@@ -165,6 +171,11 @@ class _Scene:
             depth=seen.depth,
             pitch_index=at[1],
         )
+        return situation, seen
+
+    def visit(self, spatial: Spatial, at: Viewpoint, step: int) -> State:
+        """Looks, and measures."""
+        situation, seen = self.look(spatial, at, step)
         feature = self._prober.encoder.image(seen.rgb)
         context = nearest_candidate(self._prober.encoder, feature, self.labels)
         return State(

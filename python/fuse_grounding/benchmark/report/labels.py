@@ -25,6 +25,7 @@ PARTS = {
     "evidence": "Semantic evidence",
     "planner": "Learned planner",
     "revisit": "Views seen before",
+    "reach": "Reach of geometric evidence",
     "eta": "Gate threshold",
     "weights": "Evidence weights",
     "search": "Readings of explicit search",
