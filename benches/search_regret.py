@@ -1,10 +1,12 @@
 """Does explicit search look where it pays? Its choices where the utility of every action was measured.
 
 Replays the states of `fuse collect --exhaustive` (pictures, COLMAP, map, segmenter really run), lets explicit
-search choose by several readings of the paper and by ours, and compares with the planners: rank correlation
-of Q and measured utility within states, regret of the chosen action, and what is gained on a random action,
-with an interval (bootstrap over trajectories). Then the gate: for each threshold, the regret of planner and
-of explicit search on the states that the gate leaves to either.
+search choose by several readings of the paper and by ours, and compares with the planners and with a rule
+that sees nothing: rank correlation of Q and measured utility within states (where Q is not the same for all
+actions; in how many), regret of the chosen action, and what is gained on a random action, with an interval
+(bootstrap over trajectories). All feasible actions may be chosen, views seen before too; staying by planners
+alone. Then the gate: for each threshold, the regret of planner and of explicit search on the states that the
+gate leaves to either.
 
     python benches/search_regret.py [--transitions data/planner/judged.safetensors] [--jobs 2] [--json]
 """
@@ -21,12 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from fuse_grounding import Config
+from fuse_grounding import Config, evidence
 from fuse_grounding.child import settle, threads_each
 from fuse_grounding.environment import load_episodes
 from fuse_grounding.perception.embedded_encoder import EmbeddedEncoder
 from fuse_grounding.planning.amortized import KINDS, Network, shipped
 from fuse_grounding.planning.explicit import choose, evidence_maps
+from fuse_grounding.planning.summary import summarize
 from fuse_grounding.training import planner_score, transitions
 from fuse_grounding.training.collect import labels
 from fuse_grounding.training.rollouts import Prober
@@ -48,12 +51,16 @@ READINGS: dict[str, tuple[bool, dict[str, Any]]] = {
 }
 """Name → whether on geometry alone, and settings."""
 OURS = "explicit, within reach"
+PITCH = np.array([pitch for _, pitch in evidence.ACTIONS])
+DOWN = evidence.ACTIONS.index((0, 1))
 
 
 def replayed(path: Path, trajectory: int) -> dict[int, dict[str, tuple[int, np.ndarray]]]:
     """State's row → reading → chosen action and Q, (15,)."""
     data, note = transitions.load(path)
-    prober = Prober(Config(), EmbeddedEncoder(None), labels())
+    card = json.loads(path.with_suffix(".json").read_text())
+    settings = Config.from_dict(card["request"]["config"])
+    prober = Prober(settings, EmbeddedEncoder(None), labels())
     episodes = {e.episode_id: e for e in load_episodes(note["split"])}
     episode = episodes[note["trajectories"][trajectory]["episode_id"]]
     rows = [row for row in np.unique(data.before).tolist() if data.trajectory[row] == trajectory]
@@ -62,10 +69,14 @@ def replayed(path: Path, trajectory: int) -> dict[int, dict[str, tuple[int, np.n
     found: dict[int, dict[str, tuple[int, np.ndarray]]] = {}
     for row, situation in zip(rows, prober.replay(episode, viewpoints), strict=True):
         assert situation.scene is not None
+        if np.abs(summarize(situation, settings) - data.summary[row]).max() > 2e-3:
+            raise SystemExit(
+                f"state {row} of {path} cannot be replayed: other weights, or another SIMD level"
+            )
         rendered = situation.scene.render(situation.camera)
         found[row] = {}
         for name, (geometry_only, changed) in READINGS.items():
-            config = Config().with_(**changed)
+            config = settings.with_(**changed)
             maps = evidence_maps(situation, rendered, config, geometry_only=geometry_only)
             found[row][name] = choose(maps.field, situation.feasible, config)
     return found
@@ -73,17 +84,21 @@ def replayed(path: Path, trajectory: int) -> dict[int, dict[str, tuple[int, np.n
 
 def figures(found: planner_score.Choices, values: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
     """Of one way to choose: `values` (S, 15) ranks what is not NaN, `chosen` (S,) is done."""
-    ranks = [
-        planner_score.rank_correlation(p[known], m[known])
-        for p, m in zip(values, found.measured, strict=True)
-        for known in [~np.isnan(p)]
-    ]
+    ranks = np.array(
+        [
+            planner_score.rank_correlation(p[known], m[known])
+            for p, m in zip(values, found.measured, strict=True)
+            for known in [~np.isnan(p)]
+        ]
+    )
+    ranked = ranks[np.isfinite(ranks)]
     regret = found.regret(chosen)
     return {
-        "rank_correlation": round(float(np.nanmean(ranks)), 3),
+        "rank_correlation": round(float(ranked.mean()), 3) if ranked.size else None,
+        "ranked_states": ranked.size,
         "regret": planner_score.interval(regret, found.trajectory),
         "gained_on_random": planner_score.interval(found.random - regret, found.trajectory),
-        "less_far_down": round(float((chosen < 5).mean()), 3),
+        "less_far_down": round(float((PITCH[chosen] < 0).mean()), 3),
     }
 
 
@@ -107,6 +122,8 @@ def main() -> None:
     for name in READINGS:
         actions, values = zip(*(chosen[row][name] for row in found.state), strict=True)
         table[name] = figures(found, np.array(values), np.array(actions))
+    down = np.where(np.isnan(found.measured[:, DOWN]), evidence.NOOP, DOWN)
+    table["further down, or stay"] = figures(found, np.zeros((len(down), 15)), down)
     explicit = found.regret(np.array([chosen[row][OURS][0] for row in found.state]))
     gate: dict[str, list[dict[str, Any]]] = {}
     for kind in KINDS:
@@ -116,12 +133,14 @@ def main() -> None:
     if given.json:
         print(json.dumps({"choices": table, "gate": gate}, indent=1))
         return
-    print(f"{'':36}ranks  regret  gained on random (95 %)   less far down")
+    print(f"{'':36}ranks   of   regret  gained on random (95 %)   less far down")
     for name, one in table.items():
-        gained = one["gained_on_random"]
+        gained, ranks = one["gained_on_random"], one["rank_correlation"]
+        shown = "     -" if ranks is None else f"{ranks:+.3f}"
         print(
-            f"{name:34} {one['rank_correlation']:+.3f}  {one['regret']['mean']:.3f}   {gained['mean']:+.3f} "
-            f"({gained['low']:+.3f} to {gained['high']:+.3f})   {one['less_far_down']:4.0%}"
+            f"{name:34} {shown}  {one['ranked_states']:3}   {one['regret']['mean']:.3f}   "
+            f"{gained['mean']:+.3f} ({gained['low']:+.3f} to {gained['high']:+.3f})   "
+            f"{one['less_far_down']:4.0%}"
         )
     print(f"random {found.random.mean():.3f}, staying {found.stay.mean():.3f}; {len(found.state)} states")
     print("planner        eta  trusted  regret of planner, explicit   and of the others")

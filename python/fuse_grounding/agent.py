@@ -242,7 +242,7 @@ class Session:
         self._pitch_index = self._pitch_index if seen.pitch_index is None else seen.pitch_index
         self._visited.append((self._ring if self._node is None else self._node, self._pitch_index))
         if seen.depth is None:
-            self.announce("no depth: score and evidence do without it, and the object is not located")
+            self.announce("no depth: depth terms of score and evidence are off, the object is not located")
         elif seen.camera is None and self.spatial is None:
             self.announce("no pose: the object is not located in the world")
         if feasible is None:

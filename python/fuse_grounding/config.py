@@ -135,8 +135,8 @@ class EvidenceConfig(Section):
     normalize_semantic: bool = False
     """Stretch S to [0, 1] (paper, text) instead of keeping the scores (supplement)."""
     within_reach: bool = True
-    """Weigh U_geo in E by each pixel's depth proximity, of `stopping.near_m` and `far_m`; not without depth.
-    Ours: as in the paper, a blank wall, of which SSNR says nothing (0 dB), outweighs the table."""
+    """Weigh U_geo in E by each pixel's depth proximity (`stopping.near_m`, `far_m`), where there is a depth
+    picture. Ours; in the paper's E a blank wall, of which SSNR says nothing (0 dB), outweighs the table."""
 
 
 class RegistrationConfig(Section):

@@ -7,7 +7,8 @@ import importlib.util
 import os
 import platform
 import shutil
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,14 @@ from fuse_grounding.chat.cache import default_folder
 from fuse_grounding.config import Config
 from fuse_grounding.config_chat import ChatConfig
 from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.perception import embedded, embedded_encoder
 from fuse_grounding.perception.doors import ENCODER_GROUP, ENCODERS, SEGMENTER_GROUP, SEGMENTERS, settled
 from fuse_grounding.perception.own import entry_points, load
+from fuse_grounding.planning import amortized
 from fuse_grounding.registry import Registry
 
 PACKAGE = Path(__file__).parent
+REINSTALL = "reinstall fuse-grounding: the file belongs to the package"
 
 
 @dataclass(frozen=True)
@@ -42,12 +46,58 @@ def _package(name: str, hint: str = "", required: bool = True) -> Check:
 
 
 def _shipped(name: str, path: Path) -> Check:
-    hint = "reinstall fuse-grounding: the file belongs to the package"
     if not path.exists():
-        return Check(name, False, f"{path.name} is missing", hint)
+        return Check(name, False, f"{path.name} is missing", REINSTALL)
     files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
     size = sum(p.stat().st_size for p in files)
-    return Check(name, size > 0, f"{len(files)} file(s), {size / 1e6:.1f} MB", hint)
+    return Check(name, size > 0, f"{len(files)} file(s), {size / 1e6:.1f} MB", REINSTALL)
+
+
+def _weights(config: Config) -> list[Check]:
+    """A line each for the shipped segmenter, encoder and planners: opened as an episode opens them, which
+    holds each file against the SHA-256 that its JSON file records."""
+    folder = PACKAGE / "weights"
+    segmenter, encoder = folder / embedded.DEFAULT_PATH.name, folder / embedded_encoder.DEFAULT_PATH.name
+    planners = [folder / amortized.shipped(kind).name for kind in amortized.KINDS]
+    return [
+        _intact("segmenter", embedded.EmbeddedSegmenter, [segmenter], [embedded.crops_path(segmenter)]),
+        _intact(
+            "encoder", embedded_encoder.EmbeddedEncoder, [encoder], [encoder.with_suffix(".safetensors")]
+        ),
+        _configured(config, _intact("planner", amortized.Network, planners)),
+    ]
+
+
+def _intact(
+    part: str, opened: Callable[[Path], object], networks: Sequence[Path], others: Sequence[Path] = ()
+) -> Check:
+    """Whether shipped networks can be opened; `others` are the files that are read with them."""
+    name, files = f"{part} weights", [*networks, *others]
+    try:
+        for network in networks:
+            opened(network)
+    except InputError as error:
+        return Check(name, False, f"{error}", REINSTALL)
+    size = sum(path.stat().st_size for path in files)
+    names = ", ".join(path.name for path in files)
+    return Check(name, True, f"{names}: {size / 1e6:.1f} MB, SHA-256 as recorded")
+
+
+def _configured(config: Config, shipped: Check) -> Check:
+    """The planners' line with the configured one, which may be a file of the user's own, and the gate."""
+    chosen = config.planner
+    if chosen.name == "none":
+        told = "none is configured: `fuse` decides explicitly"
+    else:
+        whence = f" from {chosen.weights}" if chosen.weights else ""
+        told = f"`{chosen.name}`{whence} is configured, gate.eta {config.gate.eta:g}"
+    if shipped.ok and chosen.weights:
+        try:
+            amortized.load_planner(config)
+        except InputError as error:
+            hint = "planner.weights is a file of `fuse train planner`; leave it out for the shipped one"
+            return replace(shipped, ok=False, found=f"{error}; {told}", hint=hint)
+    return replace(shipped, found=f"{shipped.found}; {told}")
 
 
 def _memory() -> Check:
@@ -185,5 +235,5 @@ def examine(config: Config | None = None) -> list[Check]:
         *_models(config),
         _shipped("objects", PACKAGE / "data" / "objects"),
         _shipped("scenes", PACKAGE / "data" / "scenes.json"),
-        _shipped("segmenter weights", PACKAGE / "weights" / "segmenter.onnx"),
+        *_weights(config),
     ]

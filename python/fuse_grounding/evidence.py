@@ -2,9 +2,9 @@
 
 Constants and formulas are the supplement's ("Semantic and Geometric Evidence", "Depth-Proximity
 Stopping Rule", "Confidence Gate"). Arrays are taken without a copy where they are contiguous and
-are never written to; the work runs in native code without the GIL, on all cores, with the same
-bits for any number of threads. Whatever the caller can put right raises `InputError`, which names
-the argument, what was found and what was expected.
+are never written to; but for `proximity_map`, the work runs in native code without the GIL, on all cores,
+with the same bits for any number of threads. Whatever the caller can put right raises `InputError`, which
+names the argument, what was found and what was expected.
 """
 
 from __future__ import annotations
@@ -110,15 +110,19 @@ def fuse(
 
 
 def proximity_map(depth: np.ndarray, *, near: float = 0.3, far: float = 1.2) -> NDArray[np.float32]:
-    """1 - clip((depth - near) / (far - near), 0, 1) of every pixel, (H, W) float32; 0 without a valid depth.
+    """1 - clip((depth - near) / (far - near), 0, 1) at each pixel, (H, W) float32; 0 where there is no depth.
 
-    `depth`: (H, W) float32 in metres. The same measure as `depth_proximity`, which is of a region.
+    `depth`: (H, W) float32 in metres; no depth is one that is not positive and finite. Of one pixel it is
+    `depth_proximity`; of a region, that takes the mean depth first.
     """
-    if not 0 < near < far:
-        raise InputError(f"near and far must be distances with near < far, found {near} and {far}")
-    valid = np.isfinite(depth) & (depth > 0)
-    away = np.clip((np.where(valid, depth, far) - near) / (far - near), 0.0, 1.0)
-    return (1.0 - away).astype(np.float32)
+    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.dtype != np.float32 or not depth.size:
+        found = f"{depth.dtype} {depth.shape}" if isinstance(depth, np.ndarray) else type(depth).__name__
+        raise InputError(f"depth must be a float32 array (H, W), found {found}")
+    if not 0 <= near < far:
+        raise InputError(f"near must be at least 0 and below far, found {near} and {far}")
+    known = np.isfinite(depth) & (depth > 0)
+    proximity = 1.0 - np.clip((np.where(known, depth, far) - near) / (far - near), 0.0, 1.0)
+    return proximity.astype(np.float32)
 
 
 def functional_uncertainty(semantic: np.ndarray, geometric: np.ndarray) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Plays two development episodes by a setup that no machine changes, and tells what they came to.
+"""Plays four development episodes by a setup that no machine changes, and tells what they came to.
 
 `python tests/python/results_version.py --record` writes it to results_version.json, with the RESULTS_VERSION
 that it is of; `--print` prints it. What depends on the machine is left out: the SIMD level is `portable`,
@@ -40,7 +40,7 @@ CONFIG = Config().with_(
     budget={"actions": 3},
     planner={"name": "none"},
 )
-PLAYED = (("fuse", 3), ("random", 2))
+PLAYED = (("fuse", 3), ("random", 2), ("explicit", 1), ("geometry_only", 4))
 """Methods, and the development episode of each."""
 LEFT_OUT = (
     *("concurrent", "calls", "timings", "wall_seconds", "runtime_seconds"),  # no results

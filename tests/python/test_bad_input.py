@@ -74,6 +74,7 @@ ARRAYS: dict[str, tuple[Callable[[Any], object], np.ndarray, str]] = {
     "entropy values": (lambda x: evidence.action_entropy(x), SCORES, "list float64 shorter"),
     "entropy mask": (lambda x: evidence.action_entropy(SCORES, 0.1, x), SCORES > 0, "none list"),
     "proximity depth": (lambda x: evidence.depth_proximity(x, MASK), MAP, "nan"),
+    "proximity map": (lambda x: evidence.proximity_map(x), MAP, "nan shorter"),
     "proximity mask": (lambda x: evidence.depth_proximity(MAP, x), MASK, ""),
     "points": (lambda x: splat.Gaussians.from_points(x, XYZ), XYZ, "list float64"),
     "colours": (lambda x: splat.Gaussians.from_points(XYZ, x), XYZ, "list float64"),

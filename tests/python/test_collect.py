@@ -131,6 +131,11 @@ def test_a_survey_measures_every_action_and_forks_change_nothing(
     alone = scene.visit(scene.spatial, walk.states[after].viewpoint, 1)
     for name in ("levels", "feature", "summary"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(walk.states[after], name))
+    # So does a replay, which is seen one situation at a time.
+    places = [start.viewpoint, walk.states[after].viewpoint]
+    replayed = [rollouts.summarize(s, prober.config) for s in prober.replay(episode, places)]
+    for found, state in zip(replayed, (start, walk.states[after]), strict=True):
+        np.testing.assert_array_equal(found, state.summary)
 
 
 def test_lengths_make_about_as_many_transitions_as_the_papers():

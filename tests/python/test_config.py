@@ -12,9 +12,14 @@ from fuse_grounding.config import Config, Section
 from fuse_grounding.errors import InputError
 
 
-def test_defaults_are_the_papers_constants():
+def test_defaults_are_the_papers_constants_but_for_what_was_chosen():
     c = Config()
-    assert (c.gate.eta, c.gate.temperature) == (0.6, 0.1)
+    assert (c.gate.eta, c.search.revisit, c.evidence.within_reach) == (
+        0.6,
+        False,
+        True,
+    )  # paper: 0.8, True, False
+    assert c.gate.temperature == 0.1
     assert (c.stopping.patience, c.budget.actions) == (5, 30)
     assert c.stopping.weights == (0.7, 0.3)
     assert (c.stopping.near_m, c.stopping.far_m, c.stopping.min_region_px) == (0.3, 1.2, 500)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tiny_checkpoints import SIDE, WIDTH, needs, write_clip, write_onnx_clip, write_tokenizer
+from tiny_checkpoints import LONGEST, SIDE, WIDTH, needs, write_clip, write_onnx_clip, write_tokenizer
 
 from fuse_grounding.config import EncoderConfig, SegmenterConfig
 from fuse_grounding.errors import InputError
@@ -144,9 +144,20 @@ def test_patch_evidence_through_the_door(folder: Path):
     assert segmenter.segment(RGB, []) == []
     many = [f"thing {i}" for i in range(200)]
     assert {d.label for d in segmenter.segment(RGB, many)} == set(many)
-    assert [d.label for d in segmenter.segment(RGB, ["🦊", "🦊"])] == ["🦊"]
-    with pytest.raises(InputError, match="too long for CLIP"):
-        segmenter.segment(RGB, [LONG])
+    assert [d.label for d in segmenter.segment(RGB, ["mug"] * 200)] == ["mug"]
+    for label in ("🦊", "👩‍🍳", "刀", "Knife", "a\nb", "{}"):
+        assert [d.label for d in segmenter.segment(RGB, [label, label])] == [label]
+    said = r"the text `a photo of a a{37}…` \(10013 characters\) is too long for CLIP: \d+ tokens, it reads "
+    with pytest.raises(InputError, match=f"{said}{LONGEST}"):
+        segmenter.segment(RGB, [*many, LONG])
+    for wrong, message in (
+        (["mug", ""], "labels must not be empty, found ''"),
+        (["mug", None], "labels must be strings, found NoneType"),
+        (7, "labels must be a sequence of strings, found int"),
+        (LONG, r"found the string `a{50}…` \(10000 characters\)"),
+    ):
+        with pytest.raises(InputError, match=message):
+            segmenter.segment(RGB, wrong)  # type: ignore[arg-type]
     sure = open_segmenter(SegmenterConfig(name="clip_patches", weights=folder, threshold=1.0)).part
     assert sure.segment(RGB, ["mug"]) == []
 

@@ -13,13 +13,14 @@ from agent_doubles import CONFIG, Kit, World
 
 from fuse_grounding import knowledge
 from fuse_grounding.agent import Agent
-from fuse_grounding.config import KnowledgeConfig
+from fuse_grounding.config import KnowledgeConfig, SegmenterConfig
 from fuse_grounding.errors import InputError, UnknownLabelError
 from fuse_grounding.knowledge.affordances import shipped
 from fuse_grounding.knowledge.nearest import Nearest
 from fuse_grounding.knowledge.protocol import Candidate, Hypotheses, Query
 from fuse_grounding.knowledge.vocabulary import replaced
-from fuse_grounding.perception import EmbeddedSegmenter, TextEncoder
+from fuse_grounding.perception import EmbeddedSegmenter, Segmenter, TextEncoder
+from fuse_grounding.perception.doors import open_segmenter
 from fuse_grounding.perception.lexical import Lexical
 from fuse_grounding.record import EpisodeRecord
 
@@ -68,6 +69,47 @@ def test_how_many_labels_does_not_matter(embedded: EmbeddedSegmenter):
     ):
         with pytest.raises(InputError, match=message):
             embedded.segment(RGB, wrong)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def patches() -> Segmenter:
+    """`embedded_patches` with the weights that ship; at threshold 0 each label is one region."""
+    return open_segmenter(SegmenterConfig(name="embedded_patches", threshold=0.0)).part
+
+
+def test_patches_take_any_number_of_labels(patches: Segmenter):
+    assert patches.labels is None
+    assert patches.segment(RGB, []) == []
+    two_hundred = [f"thing {i}" for i in range(200)]
+    found = patches.segment(RGB, two_hundred)
+    assert sorted(d.label for d in found) == sorted(two_hundred)
+    assert all(d.mask.all() and 0 <= d.score <= 1 for d in found)
+    assert [d.label for d in patches.segment(RGB, ["mug"] * 200)] == ["mug"]
+
+
+@pytest.mark.parametrize(
+    "label", ["🦊", "👩🏽‍🍳", "刀", "Knife", "a\nb", "{}", "x" * 10_000, "water " * 10_000, "🦊" * 10_000]
+)
+def test_patches_take_any_label(patches: Segmenter, label: str):
+    found = patches.segment(RGB, [label, "mug"])
+    assert sorted(d.label for d in found) == sorted([label, "mug"])
+    (score,) = (d.score for d in found if d.label == label)
+    assert 0 <= score <= 1
+    assert [d.score for d in patches.segment(RGB, [label])] == pytest.approx([score], rel=1e-4)
+
+
+def test_patches_name_what_is_no_label(patches: Segmenter):
+    for wrong, message in (
+        (["mug", ""], "labels must not be empty, found ''"),
+        ([" _ "], "labels must not be empty, found ' _ '"),
+        (["mug", None], "labels must be strings, found NoneType"),
+        (7, "labels must be a sequence of strings, found int"),
+        ("x" * 10_000, rf"found the string `{'x' * 50}…` \(10000 characters\)"),
+        (["mug", "\u200b"], "the text `\u200b` has no visible character"),
+        (["\u200b" * 10_000], r"…` \(10000 characters\) has no visible character"),
+    ):
+        with pytest.raises(InputError, match=message):
+            patches.segment(RGB, wrong)  # type: ignore[arg-type]
 
 
 def test_letters_tell_spellings_and_compounds():

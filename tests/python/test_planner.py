@@ -467,6 +467,17 @@ def test_what_ships_was_trained_on_the_transitions_that_the_repository_keeps():
         assert (settings.kind, settings.transitions) == (kind, digest)
 
 
+def test_the_states_that_planners_are_judged_by_are_others_and_whole():
+    kept = Path(__file__).parents[2] / "data" / "planner" / "judged.safetensors"
+    data, note = transitions.load(kept)
+    card = json.loads(kept.with_suffix(".json").read_text())
+    assert (card["sha256"], note["split"]) == (hashlib.sha256(kept.read_bytes()).hexdigest(), "dev")
+    assert note["encoder"] == EmbeddedEncoder().settings.sha256
+    judged = planner_score.choices(data, planner_score.by_network(data, Network(shipped("summary"))))
+    assert len(judged.state) == len(np.unique(data.before)) == 75
+    assert len(data) == np.count_nonzero(data.feasible[judged.state]) == 930
+
+
 # -- the gate's threshold -----------------------------------------------------------------------------
 
 

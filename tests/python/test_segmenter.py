@@ -239,20 +239,31 @@ def test_a_crop_at_the_edge_and_one_of_a_single_pixel_are_whole():
     assert crops.crop(rgb, mask, crops.frame_of(mask))[48, 64, 3] == 255
 
 
-def _networks(steps: int, folder: Path, pictures: data.Shards):
-    from fuse_grounding.training import classifier, loop
+def first_network(pictures: data.Shards, device: str = "cpu"):
+    """A toy run, and what makes the batch of a step."""
     from fuse_grounding.training import segmenter as training
 
     config = training.TrainConfig(
-        steps=50, crop=(64, 64), batch=4, part=2, warmup=4, pretrained=False, seed=3
+        steps=50, crop=(64, 64), batch=4, part=2, warmup=4, pretrained=False, seed=3, device=device
     )
-    run = training.Training(LABELS, config)
-    loop.train(run, training.batches(pictures, config), steps, folder, "network", lambda _: None)
-    crop_config = classifier.ClassifierConfig(
-        steps=50, batch=8, warmup=4, seed=3, pretrained=False, workers=2
+    return training.Training(LABELS, config), training.batches(pictures, config)
+
+
+def second_network(pictures: data.Shards, device: str = "cpu"):
+    from fuse_grounding.training import classifier
+
+    config = classifier.ClassifierConfig(
+        steps=50, batch=8, warmup=4, seed=3, pretrained=False, workers=2, device=device
     )
-    second = classifier.ClassifierTraining(LABELS, crop_config)
-    loop.train(second, classifier.batches(pictures, crop_config), steps, folder, "crops", lambda _: None)
+    return classifier.ClassifierTraining(LABELS, config), classifier.batches(pictures, config)
+
+
+def _networks(steps: int, folder: Path, pictures: data.Shards):
+    from fuse_grounding.training import loop
+
+    (run, batches), (second, crop_batches) = first_network(pictures), second_network(pictures)
+    loop.train(run, batches, steps, folder, "network", lambda _: None)
+    loop.train(second, crop_batches, steps, folder, "crops", lambda _: None)
     return run, second
 
 

@@ -27,7 +27,7 @@ def command(
 ) -> None:
     """Say what this machine has, what is missing, and how to get it.
 
-    With settings, whether the segmenter and the encoder that they choose are usable too.
+    With settings, whether the segmenter, encoder and planner that they choose are usable too.
     """
     settings = configure(config, overrides or [], segmenter__name=segmenter, segmenter__weights=weights)
     checks = examine(settings)
@@ -35,8 +35,10 @@ def command(
         typer.echo(json.dumps([dataclasses.asdict(c) for c in checks], indent=1))
     else:
         table = Table(box=None, show_header=False, padding=(0, 2))
+        for _ in range(4):
+            table.add_column(overflow="fold")
         for c in checks:
-            state = "ok" if c.ok else "[red]missing[/red]" if c.needed else "-"
+            state = "ok" if c.ok else "[red]not ok[/red]" if c.needed else "-"
             table.add_row(state, c.name, escape(c.found), "" if c.ok else escape(c.hint))
         Console().print(table)
     if not all(c.ok or not c.needed for c in checks):

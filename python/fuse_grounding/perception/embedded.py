@@ -14,6 +14,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -158,11 +159,29 @@ def _verify(path: Path, weights: bytes, settings: Path, expected: str) -> None:
         )
 
 
+def _check_width(
+    path: Path, network: Any, output: str, expected: int, blank: dict[str, np.ndarray], labels: str
+) -> None:
+    """Raises InputError unless `output` is (…, `expected`); a file that leaves it open is run on `blank`."""
+    (shape,) = (value.shape for value in network.get_outputs() if value.name == output)
+    if not shape or not isinstance(shape[-1], int):
+        try:
+            shape = network.run([output], blank)[0].shape
+        except Exception as e:
+            raise InputError(f"{path} fails on zeros: {' '.join(str(e).split())[:300]}") from None
+    if tuple(shape[-1:]) != (expected,):
+        found = f"{shape[-1]} wide" if shape else "a single number"
+        raise InputError(
+            f"{path} does not fit the {labels}: its `{output}` is {found}, expected {expected} wide"
+        )
+
+
 class EmbeddedSegmenter:
     """Instances of prompted labels by the shipped network; implements `Segmenter`.
 
     `path`: an ONNX file with the second network and the JSON file beside it; the shipped one when None.
-    Raises InputError for files that are missing, damaged or do not belong together.
+    Raises InputError for files that are missing, damaged, of other networks or do not belong together: the
+    outputs' widths must be those of as many labels as the JSON file names.
     """
 
     def __init__(self, path: str | Path | None = None, threads: int = 2) -> None:
@@ -171,15 +190,25 @@ class EmbeddedSegmenter:
         weights_path = DEFAULT_PATH if path is None else Path(path)
         weights, described = _read(weights_path), weights_path.with_suffix(".json")
         self._settings = _read_settings(described)
-        hashes = self._settings.sha256
+        hashes, count = self._settings.sha256, len(self._settings.labels)
+        labels = f"{count} labels of {described.name}"
         _verify(weights_path, weights, described, hashes["network"])
-        self._network = onnx.session(weights_path, [_INPUT], _OUTPUTS, threads, weights)
+        width, height = self._settings.size
+        takes = {_INPUT: (1, height, width, 3)}
+        self._network = onnx.session(weights_path, takes, _OUTPUTS, threads, weights)
+        blank = {_INPUT: np.zeros(takes[_INPUT], np.uint8)}
+        _check_width(weights_path, self._network, "verdict", count + 2, blank, labels)
         self._second = None
         if "crops" in hashes:
             path = crops_path(weights_path)
             weights = _read(path)
             _verify(path, weights, described, hashes["crops"])
             self._second = onnx.session(path, _CROPS, _LOGITS, threads, weights)
+            blank = {
+                "crops": np.zeros((1, *crops.SIZE[::-1], 4), np.uint8),
+                "geometry": np.zeros((1, crops.GEOMETRY), np.float32),
+            }
+            _check_width(path, self._second, "logits", count + 1, blank, labels)
         self._cache: tuple[bytes, Candidates] | None = None
 
     @property

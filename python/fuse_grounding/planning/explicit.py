@@ -85,7 +85,7 @@ def semantic_map(situation: Situation, config: Config) -> np.ndarray:
 def evidence_maps(
     situation: Situation, rendered: Rendering | None, config: Config, geometry_only: bool = False
 ) -> EvidenceMaps:
-    """S, U_geo, the field that scores the actions, and the mean of U_func = 1 - S + U_geo."""
+    """S, U_geo, what scores the actions (w_s S + w_g d U_geo), and the mean of U_func = 1 - S + U_geo."""
     semantic = semantic_map(situation, config)
     ssnr = config.ssnr
     geometric = evidence.geometric_uncertainty(

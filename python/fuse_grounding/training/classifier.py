@@ -53,9 +53,9 @@ class ClassifierTraining(NetworkRun[CropNet]):
 
         def work(replica: CropNet, mine: list[Crop]) -> dict[str, float]:
             share = len(mine) / len(batch)
-            image = torch.from_numpy(np.stack([c.image for c in mine]))
-            geometry = torch.from_numpy(np.stack([c.geometry for c in mine]))
-            truth = torch.tensor([c.category for c in mine])
+            image = torch.from_numpy(np.stack([c.image for c in mine])).to(self.device)
+            geometry = torch.from_numpy(np.stack([c.geometry for c in mine])).to(self.device)
+            truth = torch.tensor([c.category for c in mine], device=self.device)
             logits = replica(image, geometry)
             loss = F.cross_entropy(logits, truth, label_smoothing=self.config.smoothing)
             (loss * share).backward()

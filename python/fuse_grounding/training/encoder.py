@@ -75,17 +75,17 @@ class Training(NetworkRun[EncoderNet]):
                         )
                     own.copy_(other)
             self.average = Average(self.net, config.ema)
-        self.phrases = torch.from_numpy(phrases)
+        self.phrases = torch.from_numpy(phrases).to(self.device)
 
     def advance(self, samples: list[Sample]) -> dict[str, float]:
         """One step of the optimiser; the parts of the loss."""
         if self.step == 0:
-            self.net.standardize(_input(samples))
+            self.net.standardize(_input(samples, self.device))
         texts, count = self._texts(), self.config.workers
 
         def work(replica: EncoderNet, mine: list[Sample]) -> dict[str, float]:
-            found = losses(replica(_input(mine)), mine, texts, replica)
-            total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros(()))
+            found = losses(replica(_input(mine, self.device)), mine, texts, replica)
+            total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros((), device=self.device))
             (total / count).backward()
             return {k: float(v.detach()) / count for k, v in found.items()}
 
@@ -98,27 +98,27 @@ class Training(NetworkRun[EncoderNet]):
         return self.phrases[torch.from_numpy(ways), torch.arange(count)]
 
 
-def _input(samples: list[Sample]) -> Tensor:
-    image = torch.from_numpy(np.stack([s.image for s in samples])).permute(0, 3, 1, 2)
+def _input(samples: list[Sample], device: torch.device) -> Tensor:
+    image = torch.from_numpy(np.stack([s.image for s in samples])).to(device).permute(0, 3, 1, 2)
     return ((image.float() - 127.0) / 128.0).contiguous(memory_format=torch.channels_last)
 
 
 def losses(views: Views, samples: list[Sample], texts: Tensor, net: EncoderNet) -> dict[str, Tensor]:
     """The parts of the loss, each a scalar: image, patch, layout."""
-    labels = len(texts) - 1
+    labels, device = len(texts) - 1, texts.device
     scale = net.scale()
-    present = torch.from_numpy(np.stack([s.present for s in samples]))
+    present = torch.from_numpy(np.stack([s.present for s in samples])).to(device)
     shares = F.log_softmax(scale * views.pooled @ texts[:labels].T, dim=1)
     image = -(present * shares).sum() / max(float(present.sum()), 1.0)
-    patches = torch.from_numpy(np.stack([s.patches for s in samples])).flatten()
+    patches = torch.from_numpy(np.stack([s.patches for s in samples])).to(device).flatten()
     logits = scale * views.semantic.permute(0, 2, 3, 1).flatten(0, 2) @ texts.T
     counted = patches != IGNORED
-    weight = torch.ones(labels + 1)
+    weight = torch.ones(labels + 1, device=device)
     weight[labels] = PLAIN_WEIGHT
     patch = F.cross_entropy(logits[counted], patches[counted], weight)
-    cells = torch.from_numpy(np.stack([s.cells for s in samples])).flatten(1)
+    cells = torch.from_numpy(np.stack([s.cells for s in samples])).to(device).flatten(1)
     layout = F.binary_cross_entropy_with_logits(
-        net.layout_reader(views.layout) * scale, cells, pos_weight=torch.tensor(4.0)
+        net.layout_reader(views.layout) * scale, cells, pos_weight=torch.tensor(4.0, device=device)
     )
     return {"image": image, "patch": patch, "layout": layout}
 

@@ -19,7 +19,8 @@ import torch
 from torch import Tensor, nn
 
 from fuse_grounding import tensors
-from fuse_grounding.errors import InputError
+from fuse_grounding.errors import FuseError, InputError
+from fuse_grounding.perception import torch_models
 from fuse_grounding.training import onnx_files
 
 LOG_EVERY = 25
@@ -102,13 +103,25 @@ class Recipe:
     workers: int = 2
     seed: int = 0
     pretrained: bool = True
+    device: str = "cpu"
+    """`cpu` or `cuda`: other bits, and on `cuda` not promised to repeat."""
+
+
+def choose_device(wish: str) -> str:
+    """`cpu` or `cuda` for what `--device` says. Raises InputError for no device's name, and for `cuda` where
+    torch finds none.
+    """
+    if wish not in ("cpu", "cuda", "auto"):
+        raise InputError(f"--device must be cpu, cuda or auto, found {wish}")
+    return torch_models.choose(wish, "--device")
 
 
 class NetworkRun(Generic[Net]):
     """Network, averaged network and optimiser of a run as `train` drives it, but for what a step computes.
 
     `make()` gives a network with a `backbone` (`segmenter_model.Backbone`); its weights start from ImageNet's
-    where the recipe says `pretrained`. As many threads as the recipe has `workers` share a step.
+    where the recipe says `pretrained`. As many threads as the recipe has `workers` share a step, on its
+    `device`.
     """
 
     LARGEST_GRADIENT = 5.0
@@ -119,11 +132,12 @@ class NetworkRun(Generic[Net]):
     def __init__(self, make: Callable[[], Net], labels: tuple[str, ...], recipe: Recipe) -> None:
         torch.manual_seed(recipe.seed)
         self.labels, self.recipe, self._make = labels, recipe, make
+        self.device = torch.device(recipe.device)
         self.net = make()
         backbone: Any = self.net.backbone
         if recipe.pretrained:
             backbone.load_imagenet()
-        self.net.to(memory_format=torch.channels_last)
+        self.net.to(self.device).to(memory_format=torch.channels_last)
         self.average = Average(self.net, recipe.ema)
         known = {id(p) for p in backbone.parameters()}
         heads = [p for p in self.net.parameters() if id(p) not in known]
@@ -165,7 +179,7 @@ class NetworkRun(Generic[Net]):
 
     def _replica(self) -> Net:
         """A network with the same parameters in memory and gradients of its own."""
-        twin = self._make()
+        twin = self._make().to(self.device)
         for own, shared in zip(twin.parameters(), self.net.parameters(), strict=True):
             own.data = shared.data
         return twin
@@ -206,7 +220,7 @@ class NetworkRun(Generic[Net]):
         return parts | {"norm": float(norm)}
 
     def averaged(self) -> Net:
-        """The averaged network, for evaluation and export."""
+        """The averaged network on the CPU, for evaluation and export."""
         net = self._make()
         net.load_state_dict(self.average.weights)
         return net.eval()
@@ -225,7 +239,7 @@ class NetworkRun(Generic[Net]):
         """Takes up a state read from `path`; InputError when it is another run's."""
         same_run(state, self.labels, asdict(self.recipe), path)
         self.net.load_state_dict(state["net"])
-        self.average.weights = state["average"]
+        self.average.weights = {k: v.to(self.device) for k, v in state["average"].items()}
         self.optimizer.load_state_dict(state["optimizer"])
 
 
@@ -258,7 +272,7 @@ def save(run: Run, path: Path) -> None:
 def load(path: Path, expected: set[str]) -> dict[str, Any]:
     """A state that `save` wrote with at least the keys `expected`; InputError when it is not one."""
     try:
-        state: dict[str, Tensor] = torch.load(path, weights_only=True)
+        state: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as e:
         raise InputError(f"{path} is not a checkpoint: {e}") from e
     missing = expected - state.keys()
@@ -273,7 +287,8 @@ def same_run(state: dict[str, Any], labels: tuple[str, ...], config: dict[str, A
     """Raises InputError unless `state` is that of a run with these labels and this configuration."""
     if list(state["labels"]) != list(labels):
         raise InputError(f"{path} was trained for other labels: {', '.join(state['labels'])}")
-    ours, theirs = json.loads(json.dumps(config)), json.loads(json.dumps(state["config"]))
+    # A checkpoint from before there was a choice of the device is the CPU's.
+    ours, theirs = json.loads(json.dumps(config)), {"device": "cpu"} | json.loads(json.dumps(state["config"]))
     for key, value in ours.items():
         if theirs.get(key) != value:
             raise InputError(
@@ -281,10 +296,21 @@ def same_run(state: dict[str, Any], labels: tuple[str, ...], config: dict[str, A
             )
 
 
+def _log(path: Path, line: dict[str, float]) -> None:
+    try:
+        with path.open("a") as log:
+            log.write(json.dumps(line) + "\n")
+    except OSError as error:
+        raise FuseError(f"{path} cannot be written: {error.strerror}") from None
+
+
 def train(
     run: Run, make: Callable[[int], Any], steps: int, out: Path, name: str, report: Callable[[str], None]
 ) -> None:
-    """Steps until there are `steps`, resuming `out/NAME.pt`; leaves it and `out/NAME.jsonl` (losses)."""
+    """Steps until there are `steps`, resuming `out/NAME.pt`; leaves it and `out/NAME.jsonl` (losses).
+
+    Raises FuseError when the disk refuses; the checkpoint before stays.
+    """
     out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -307,8 +333,7 @@ def train(
             if run.step % LOG_EVERY == 0:
                 line = {k: round(v / LOG_EVERY, 4) for k, v in sums.items()}
                 line |= {"step": run.step, "minutes": round(run.seconds / 60, 2)}
-                with (out / f"{name}.jsonl").open("a") as log:
-                    log.write(json.dumps(line) + "\n")
+                _log(out / f"{name}.jsonl", line)
                 left = run.seconds / run.step * (steps - run.step) / 60
                 report(f"{name}: " + " ".join(f"{k} {v}" for k, v in line.items()) + f", {left:.0f} min left")
                 sums = {}

@@ -128,7 +128,10 @@ class Prober:
         return Walk(number, scene.labels, states, moves)
 
     def replay(self, episode: Episode, viewpoints: Sequence[Viewpoint]) -> Iterator[Situation]:
-        """What a search knows at each of `viewpoints`, the first being where the walk began."""
+        """What a search knows at each of `viewpoints`, taken one after the other from the walk's start.
+
+        All share one map, refined with the view when its situation is yielded: use each before the next.
+        """
         scene = _Scene(self, episode, viewpoints[0])
         for step, at in enumerate(viewpoints):
             yield scene.look(scene.spatial, at, step)[0]

@@ -34,8 +34,8 @@ class TrainConfig(Recipe):
     start: str | None = None
 
 
-def _input(samples: list[Sample]) -> Tensor:
-    image = torch.from_numpy(np.stack([s.image for s in samples])).permute(0, 3, 1, 2)
+def _input(samples: list[Sample], device: torch.device) -> Tensor:
+    image = torch.from_numpy(np.stack([s.image for s in samples])).to(device).permute(0, 3, 1, 2)
     return ((image.float() - 127.0) / 128.0).contiguous(memory_format=torch.channels_last)
 
 
@@ -57,7 +57,7 @@ class Training(NetworkRun[SegmenterNet]):
         """One step of the optimiser; the parts of the loss."""
         if self.step == 0 and self.config.start is None:
             with torch.no_grad():
-                self.net.standardize(_input(samples))
+                self.net.standardize(_input(samples, self.device))
         size, workers = self.config.part, self.config.workers
         batches = [samples[i : i + size] for i in range(0, len(samples), size)]
         share = 1.0 / len(batches)
@@ -65,8 +65,8 @@ class Training(NetworkRun[SegmenterNet]):
         def work(replica: SegmenterNet, mine: list[list[Sample]]) -> dict[str, float]:
             parts: dict[str, float] = {}
             for part in mine:
-                found = losses(replica, replica(_input(part)), part)
-                total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros(()))
+                found = losses(replica, replica(_input(part, self.device)), part)
+                total = sum((WEIGHTS[k] * v for k, v in found.items()), torch.zeros((), device=self.device))
                 (total * share).backward()
                 for k, v in found.items():
                     parts[k] = parts.get(k, 0.0) + share * float(v.detach())

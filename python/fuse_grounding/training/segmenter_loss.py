@@ -45,6 +45,7 @@ def _iou(masks: Tensor, truth: Tensor) -> Tensor:
 def _verdict_loss(net: SegmenterNet, dense: Dense, b: int, sample: Sample, cells: Tensor) -> Tensor:
     """Category (or none) and quality of the masks at true and at predicted middles."""
     h, w = dense.heat.shape[-2:]
+    device = dense.heat.device
     with torch.no_grad():
         heat = dense.heat[b]
         peak = torch.where(F.max_pool2d(heat, 3, 1, 1) == heat, heat, -1e4).reshape(-1)
@@ -52,14 +53,15 @@ def _verdict_loss(net: SegmenterNet, dense: Dense, b: int, sample: Sample, cells
         chosen = torch.stack([index % w, index // w], 1)
         kernels = dense.kernels[b].reshape(KERNEL_SIZE, -1).t()[index].float()
         features = dense.masks[b].float()[:, ::2, ::2].reshape(MASK_CHANNELS, -1)
-        positions = net.positions(h * 4, w * 4).view(2, h * 4, w * 4)[:, ::2, ::2].reshape(2, -1)
+        positions = net.positions(h * 4, w * 4, device).view(2, h * 4, w * 4)[:, ::2, ::2].reshape(2, -1)
         masks = torch.sigmoid(net.masks_at(features, positions, kernels, chosen))
-        truth = torch.from_numpy(sample.mask4).flatten(1)
-        iou = _iou(masks > 0.5, truth) if len(truth) else torch.zeros(len(masks), 1)
+        truth = torch.from_numpy(sample.mask4).to(device).flatten(1)
+        iou = _iou(masks > 0.5, truth) if len(truth) else torch.zeros(len(masks), 1, device=device)
         best, which = iou.max(1)
-        target = torch.full((len(masks),), net.categories)
+        target = torch.full((len(masks),), net.categories, device=device)
         if len(truth):
-            target = torch.where(best >= 0.5, torch.from_numpy(sample.category)[which], target)
+            kinds = torch.from_numpy(sample.category).to(device)
+            target = torch.where(best >= 0.5, kinds[which], target)
         coarse = F.avg_pool2d(masks.view(1, -1, h * 2, w * 2), 2)[0]
         # Neither right nor wrong: says nothing about the category.
         certain = ((best >= 0.5) | (best < 0.3)).float()
@@ -74,9 +76,10 @@ def _verdict_loss(net: SegmenterNet, dense: Dense, b: int, sample: Sample, cells
 
 def losses(net: SegmenterNet, dense: Dense, samples: list[Sample]) -> dict[str, Tensor]:
     """The four parts, each a scalar: heat, mask, dense, verdict."""
+    device = dense.heat.device
 
     def stack(name: str) -> Tensor:
-        return torch.from_numpy(np.stack([getattr(s, name) for s in samples]))
+        return torch.from_numpy(np.stack([getattr(s, name) for s in samples])).to(device)
 
     heat = heat_loss(dense.heat.float()[:, 0], stack("heat"), stack("heat_weight"))
     weight = stack("dense_weight")
@@ -84,18 +87,17 @@ def losses(net: SegmenterNet, dense: Dense, samples: list[Sample]) -> dict[str, 
         dense.classes.float(), stack("dense"), reduction="none", label_smoothing=0.02
     )
     h, w = dense.heat.shape[-2:]
-    positions = net.positions(h * 4, w * 4)
+    positions = net.positions(h * 4, w * 4, device)
     mask, verdict, count = dense_loss.new_zeros(()), dense_loss.new_zeros(()), 0
     for b, sample in enumerate(samples):
-        cells = torch.from_numpy(sample.cells)
+        cells = torch.from_numpy(sample.cells).to(device)
         if len(cells):
-            points = torch.from_numpy(sample.points)
+            points = torch.from_numpy(sample.points).to(device)
             features = dense.masks[b].reshape(MASK_CHANNELS, -1)[:, points].float()
             kernels = dense.kernels[b][:, cells[:, 1], cells[:, 0]].t().float()
             logits = net.masks_at(features, positions[:, points], kernels, cells)
-            per = mask_loss(
-                logits, torch.from_numpy(sample.point_mask), torch.from_numpy(sample.point_weight)
-            )
+            truth = torch.from_numpy(sample.point_mask).to(device)
+            per = mask_loss(logits, truth, torch.from_numpy(sample.point_weight).to(device))
             mask, count = mask + per.sum(), count + len(cells)
         verdict = verdict + _verdict_loss(net, dense, b, sample, cells)
     return {

@@ -245,9 +245,10 @@ class SegmenterNet(nn.Module):
         return torch.stack([x.expand(h, w), y[:, None].expand(h, w)])[None]
 
     @staticmethod
-    def positions(h: int, w: int) -> Tensor:
+    def positions(h: int, w: int, device: torch.device | None = None) -> Tensor:
         """(2, h · w): x and y of the pixel centres at stride 2, in pixels of that stride."""
-        y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
+        rows, columns = torch.arange(h, device=device) + 0.5, torch.arange(w, device=device) + 0.5
+        y, x = torch.meshgrid(rows, columns, indexing="ij")
         return torch.stack([x.reshape(-1), y.reshape(-1)])
 
     @staticmethod
@@ -285,8 +286,8 @@ class SegmenterNet(nn.Module):
         weights = weights / area
         everything = torch.cat([tower, classes]).reshape(-1, h * w)
         pooled = weights @ everything.t()
-        x = torch.arange(w, dtype=masks.dtype).expand(h, w).reshape(-1) / 16.0
-        y = torch.arange(h, dtype=masks.dtype)[:, None].expand(h, w).reshape(-1) / 16.0
+        x = torch.arange(w, dtype=masks.dtype, device=masks.device).expand(h, w).reshape(-1) / 16.0
+        y = torch.arange(h, dtype=masks.dtype, device=masks.device)[:, None].expand(h, w).reshape(-1) / 16.0
         moments = weights @ torch.stack([x, y, x * x, y * y, x * y], 1)
         mx, my, xx, yy, xy = moments.unbind(1)
         xx, yy, xy = xx - mx * mx, yy - my * my, xy - mx * my
