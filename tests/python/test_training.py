@@ -217,6 +217,12 @@ class Counting:
         self.sum = state["sum"]
 
 
+def test_a_full_disk_while_pictures_are_rendered_leaves_no_half_shard(tmp_path: Path):
+    with no_file_over(1000), pytest.raises(FuseError, match=r"part_00000_\d+ cannot be written"):
+        data.write_shards(tmp_path / "pictures", 64, toy, 0, lambda _: None)
+    assert list((tmp_path / "pictures").iterdir()) == []
+
+
 def test_a_full_disk_leaves_the_earlier_checkpoint_and_the_run_goes_on_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -323,20 +323,22 @@ def train(
     loader = Loader(make, run.step)
     loader.start()
     sums: dict[str, float] = {}
+    summed = 0
     last = saved = time.monotonic()
     try:
         while run.step < steps:
             for k, v in run.advance(loader.get()).items():
                 sums[k] = sums.get(k, 0.0) + v
+            summed += 1
             now = time.monotonic()
             run.seconds, last = run.seconds + now - last, now
             if run.step % LOG_EVERY == 0:
-                line = {k: round(v / LOG_EVERY, 4) for k, v in sums.items()}
+                line = {k: round(v / summed, 4) for k, v in sums.items()}
                 line |= {"step": run.step, "minutes": round(run.seconds / 60, 2)}
                 _log(out / f"{name}.jsonl", line)
                 left = run.seconds / run.step * (steps - run.step) / 60
                 report(f"{name}: " + " ".join(f"{k} {v}" for k, v in line.items()) + f", {left:.0f} min left")
-                sums = {}
+                sums, summed = {}, 0
             if now - saved > SAVE_EVERY_SECONDS:
                 save(run, checkpoint)
                 saved = now

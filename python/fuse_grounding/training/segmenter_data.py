@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fuse_grounding.errors import InputError
+from fuse_grounding.errors import FuseError, InputError
 
 SHARD = 64
 # (rgb, ids, objects) of one picture; an object is {"id", "category", "visible_px", "unoccluded_px"}.
@@ -33,7 +33,7 @@ def write_shards(
     """Renders what is missing of `pictures` in shards of 64; `render(seed, count)` makes `count` pictures.
 
     Shard `i` has the seed `base_seed + i`, whatever was there before: an interrupted run resumes and ends
-    with the same bits.
+    with the same bits. Raises FuseError when the disk refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for index in range((pictures + SHARD - 1) // SHARD):
@@ -41,11 +41,15 @@ def write_shards(
         if not final.exists():
             batch = render(base_seed + index, SHARD)
             part = folder / f".part_{index:05d}_{os.getpid()}"
-            part.mkdir()
-            np.save(part / "rgb.npy", np.stack([p[0] for p in batch]))
-            np.save(part / "ids.npy", np.stack([p[1] for p in batch]).astype(np.uint8))
             header = {"seed": base_seed + index, "pictures": [p[2] for p in batch]}
-            (part / "objects.json").write_text(json.dumps(header))
+            try:
+                part.mkdir()
+                np.save(part / "rgb.npy", np.stack([p[0] for p in batch]))
+                np.save(part / "ids.npy", np.stack([p[1] for p in batch]).astype(np.uint8))
+                (part / "objects.json").write_text(json.dumps(header))
+            except OSError as error:
+                shutil.rmtree(part, ignore_errors=True)
+                raise FuseError(f"{part} cannot be written: {error.strerror or error}") from None
             try:
                 part.rename(final)
             except OSError:
