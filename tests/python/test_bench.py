@@ -119,7 +119,7 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
     others: list[tuple[dict[str, Any], str]] = [
         (
             {"config": Config().with_(gate={"eta": 0.7})},
-            r"with other settings \(`config\.gate\.eta` is 0\.9 there and 0\.7 here\)",
+            r"with other settings \(`config\.gate\.eta` is 0\.6 there and 0\.7 here\)",
         ),
         (
             {"episodes": EPISODES[:1]},
