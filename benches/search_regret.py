@@ -84,14 +84,7 @@ def replayed(path: Path, trajectory: int) -> dict[int, dict[str, tuple[int, np.n
 
 def figures(found: planner_score.Choices, values: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
     """Of one way to choose: `values` (S, 15) ranks what is not NaN, `chosen` (S,) is done."""
-    ranks = np.array(
-        [
-            planner_score.rank_correlation(p[known], m[known])
-            for p, m in zip(values, found.measured, strict=True)
-            for known in [~np.isnan(p)]
-        ]
-    )
-    ranked = ranks[np.isfinite(ranks)]
+    ranked = planner_score.within_states(values, found.measured)
     regret = found.regret(chosen)
     return {
         "rank_correlation": round(float(ranked.mean()), 3) if ranked.size else None,

@@ -246,6 +246,18 @@ def test_entropy_agrees_with_scipy():
     assert evidence.action_entropy([0.2, np.nan], mask=[True, False]) == 0
 
 
+def test_proximity_of_a_pixel_is_that_of_a_region_of_one_pixel():
+    depth = np.array([[0.2, 0.5, 1.0, 1.2], [3.0, 0.0, np.nan, -1.0]], np.float32)
+    found = evidence.proximity_map(depth, near=0.3, far=1.1)
+    for place in np.ndindex(depth.shape):
+        pixel = np.zeros(depth.shape, bool)
+        pixel[place] = True
+        alone = evidence.depth_proximity(depth, pixel, near=0.3, far=1.1, min_pixels=1)
+        assert found[place] == pytest.approx(alone, abs=1e-6)
+    with pytest.raises(InputError, match=r"near must be at least 0 and below far, found 1\.2 and 0\.3"):
+        evidence.proximity_map(depth, near=1.2, far=0.3)
+
+
 def test_depth_proximity():
     depth = np.full((40, 40), 0.75, np.float32)
     region = np.ones((40, 40), bool)

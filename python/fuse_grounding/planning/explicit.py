@@ -100,13 +100,13 @@ def evidence_maps(
     )
     weights = (config.evidence.semantic_weight, config.evidence.geometric_weight)
     unresolved = evidence.functional_uncertainty(semantic, geometric)
-    wanted = _within_reach(geometric, situation.depth, config)
+    weighed = _within_reach(geometric, situation.depth, config)
     if geometry_only:
-        field = wanted
+        field = weighed
     elif config.explicit.field == "uncertainty":
-        field = evidence.fuse(1 - semantic, wanted, *weights)
+        field = evidence.fuse(1 - semantic, weighed, *weights)
     else:
-        field = evidence.fuse(semantic, wanted, *weights)
+        field = evidence.fuse(semantic, weighed, *weights)
     return EvidenceMaps(
         semantic,
         geometric,

@@ -110,6 +110,14 @@ def rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float((x * y).sum()) / norm if norm > 0 else float("nan")
 
 
+def within_states(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Rank correlation within each state where it has one, (at most S,); `values` and `measured` (S, 15), NaN
+    in `values` being left out."""
+    known = ~np.isnan(values)
+    ranks = [rank_correlation(v[k], m[k]) for v, m, k in zip(values, measured, known, strict=True)]
+    return np.array([r for r in ranks if np.isfinite(r)])
+
+
 def _mean_ranks(values: np.ndarray) -> np.ndarray:
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts)
@@ -134,12 +142,8 @@ def score(found: Choices, seed: int = 0) -> dict[str, Any]:
     `gate`: for each η, the share of states that the planner would decide, and the regrets on either side.
     """
     top, stay, random, groups = found.top, found.stay, found.random, found.trajectory
-    per_state = [
-        rank_correlation(p[~np.isnan(p)], m[~np.isnan(m)])
-        for p, m in zip(found.predicted, found.measured, strict=True)
-    ]
     sound = ~np.isnan(found.predicted)
-    known = np.array([r for r in per_state if np.isfinite(r)])
+    known = within_states(found.predicted, found.measured)
     return {
         "states": len(top),
         "trajectories": len(np.unique(groups)),
