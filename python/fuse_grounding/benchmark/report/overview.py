@@ -10,7 +10,10 @@ from fuse_grounding.benchmark.report import labels
 from fuse_grounding.benchmark.report.load import Folder, Results, flat, set_name, setting
 from fuse_grounding.benchmark.report.model import Block, Cell, Column, Facts, Row, Table, Text
 
-_ORDER = ("fuse grounding", "commit", "dirty", "results version", "python", "system", "processor", "cores")
+_ORDER = (
+    *("fuse grounding", "commit", "uncommitted changes", "results version"),
+    *("python", "system", "processor", "cores"),
+)
 _DIGEST = 12
 """Characters of a SHA-256 that are shown."""
 
@@ -98,6 +101,7 @@ def _name(key: str) -> str:
         ("weights.", "weights of "),
         ("machine.", ""),
         ("perception.", ""),
+        ("dirty", "uncommitted changes"),
     ):
         if prefix in key:
             key = words + key.split(prefix, 1)[1] + (" on" if prefix == "perception." else "")

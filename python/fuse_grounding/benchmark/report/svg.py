@@ -66,6 +66,10 @@ def _log_ticks(low: float, high: float) -> list[float]:
     return inside
 
 
+_Box = tuple[float, float, float, float]
+"""Left, top, right and bottom, px."""
+
+
 class Plot:
     """A field with two axes. Values outside an axis are the caller's mistake."""
 
@@ -74,7 +78,8 @@ class Plot:
         self.width, self.height = width, height
         self._box = (left, 12, width - 14, height - 44)
         self._over: list[str] = []
-        self._taken: list[tuple[float, float, float, float]] = []
+        self._marks: list[_Box] = []
+        self._taken: list[_Box] = []
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Where a value lies in the picture."""
@@ -106,7 +111,7 @@ class Plot:
     def mark(self, x: float, y: float, style: int, tip: str, *, size: float = 5) -> None:
         """A marker whose shape goes with its style; `tip` is shown on hovering."""
         px, py = self.at(x, y)
-        self._taken.append((px - size, py - size, px + size, py + size))
+        self._marks.append((px - size, py - size, px + size, py + size))
         self._over.append(f"<g><title>{escape(tip)}</title>{marker(px, py, style, size)}</g>")
 
     def whisker(self, x: float, low: float, high: float, style: int) -> None:
@@ -157,12 +162,13 @@ class Plot:
         px, py = self.at(x, y)
         length = _SMALL * len(words)
         left, top, right, bottom = self._box
-        best: tuple[float, str] | None = None
+        best: tuple[tuple[bool, float], str] | None = None
         for rank, (dx, dy, anchor) in enumerate(_AROUND):
             x0 = px + dx - {"start": 0.0, "middle": length / 2, "end": length}[anchor]
             box = (x0, py + dy - 10, x0 + length, py + dy + 3)
             outside = box[0] < left or box[2] > right + 6 or box[1] < top - 8 or box[3] > bottom
-            cost = rank + 1000 * outside + 10 * sum(_overlap(box, other) for other in self._taken)
+            hidden = sum(_overlap(box, mark) for mark in self._marks)
+            cost = (outside, rank + 100 * hidden + 10 * sum(_overlap(box, other) for other in self._taken))
             if best is None or cost < best[0]:
                 best, chosen = (cost, _text(px + dx, py + dy, words, anchor, "name")), box
         assert best is not None
@@ -207,10 +213,14 @@ _AROUND = (
     (-8, -8, "end"),
     (8, 16, "start"),
     (-8, 16, "end"),
+    (8, -22, "start"),
+    (-8, -22, "end"),
+    (8, 30, "start"),
+    (-8, 30, "end"),
 )
 
 
-def _overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
+def _overlap(a: _Box, b: _Box) -> float:
     """Shared area, px²."""
     wide = min(a[2], b[2]) - max(a[0], b[0])
     high = min(a[3], b[3]) - max(a[1], b[1])

@@ -111,8 +111,8 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
     components = [c for c in next(iter(found.values())).components if c in spent]
     columns = [
         Column("method", "Method", word=True),
+        Column("total", "Total", "s", 2),  # first: on a narrow page the rest is scrolled to
         *(Column(c, labels.component(c), "s", 2) for c in components),
-        Column("total", "Total", "s", 2),
         Column("explicit", "Explicit branch", "% of decisions", 1),
         Column("refinements", "Refinements", "per episode ± sd", 2),
     ]
@@ -126,8 +126,8 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
             Row(
                 [
                     Cell(plots.name(arm)),
-                    *(Cell(profile.components[c].s_per_ep) for c in components),
                     Cell(profile.total_s_per_ep),
+                    *(Cell(profile.components[c].s_per_ep) for c in components),
                     Cell(profile.branch_pct.get("explicit")),
                     Cell(spread.mean, text=f"{spread.mean:.2f} ± {spread.sd:.2f}"),
                 ]
@@ -190,7 +190,8 @@ def _bars(part: Part, found: Mapping[str, Latency]) -> Figure:
     if not arms:
         return Figure(key, title, "", missing="not recorded: these results do not count calls by stage")
     everything = list(next(iter(found.values())).components)
-    shown = [c for c in everything if any(p.components[c].share_pct >= 1 for p in found.values())]
+    named = [c for c in everything if c != "other"]  # what no stage counted is of the rest
+    shown = [c for c in named if any(p.components[c].share_pct >= 1 for p in found.values())]
     shown = shown[: STYLES - 1]
     most = max(p.total_s_per_ep for p in found.values())
     names = [plots.name(a) for a in arms]
