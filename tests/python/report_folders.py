@@ -78,6 +78,7 @@ def make_row(
         "status": "ok",
         "success": won,
         "iou": overlap,
+        "label": "knife",
         "target_pixels": int(3000 * overlap),
         "target_pixel_ratio": dice.uniform(0.2, 0.9),
         "target_pixel_ratio_90": dice.uniform(0.3, 1.0),

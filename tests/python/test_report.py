@@ -340,6 +340,33 @@ def test_success_is_broken_down_by_verb_scene_and_visibility(usual: Report):
         assert line(table(usual, "dev_main_by_visibility"), "0 to 20 %")["fuse"].value == pytest.approx(share)
 
 
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"success": False, "iou": 0.3}, "rough"),
+        ({"success": False, "iou": 0.02}, "another"),
+        ({"success": False, "iou": 0.0, "label": None}, "nothing"),
+    ],
+)
+def test_failures_are_told_apart_by_what_they_returned(tmp_path: Path, changes: dict[str, Any], kind: str):
+    report = report_of(write_folder(tmp_path / "b", ["fuse"], **changes))
+    found = line(table(report, "dev_main_endings"), "FUSE")
+    assert {k for k in ("success", "rough", "another", "nothing", "error") if found[k].value} == {kind}
+    assert found[kind].value == 1
+    held = [make_row("fuse", e, i)["success"] for i, e in enumerate(DEV)]  # traces still say what was seen
+    assert found["lost"].value == pytest.approx(np.mean(held))
+
+
+def test_searches_that_end_well_and_in_errors_are_told_apart(tmp_path: Path, usual: Report):
+    won = next(e.episode_id for i, e in enumerate(DEV) if make_row("fuse", e, i)["success"])
+    report = report_of(write_folder(tmp_path / "b", errors=[("fuse", won)]))
+    before, after = (line(table(r, "dev_main_endings"), "FUSE") for r in (usual, report))
+    assert (before["error"].value, after["error"].value) == (0, 0.1)
+    assert isinstance(before["success"].value, float)
+    assert after["success"].value == pytest.approx(before["success"].value - 0.1)
+    assert before["lost"].value == 0  # of these rows the last view is always the best
+
+
 # -- plots -------------------------------------------------------------------------------------------
 
 

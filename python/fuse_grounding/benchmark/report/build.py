@@ -9,6 +9,7 @@ from pathlib import Path
 from fuse_grounding.benchmark.metrics import METRICS
 from fuse_grounding.benchmark.report import (
     breakdown,
+    endings,
     gallery,
     labels,
     overview,
@@ -88,8 +89,12 @@ def _main(part: Part, options: Options, over: str) -> list[Section]:
         Section(f"time-{part.set_name}", "Runtime" + over, timing.blocks(part)),
         Section(
             f"where-{part.set_name}",
-            "Where it succeeds" + over,
-            [breakdown.visibility(part, known, why_not), *breakdown.tables(part, known)],
+            "Where it succeeds and how it fails" + over,
+            [
+                endings.table(part),
+                breakdown.visibility(part, known, why_not),
+                *breakdown.tables(part, known),
+            ],
         ),
         Section(f"reliability-{part.set_name}", "Reliability" + over, reliability.figures(part)),
     ]
