@@ -38,7 +38,7 @@ def table(part: Part) -> Table:
         f"Share of the episodes of `{part.set_name}` by how they ended. Rough mask: the returned mask "
         f"overlaps a valid object, with an IoU of at least {_TOUCHES:g} and below that of a success; another "
         "object: less than that; nothing found: no mask. Given up on the way: failures that would have been "
-        "a success had the search ended at an earlier view; a surer or nearer mask took the right one's place."
+        "a success had the search ended at an earlier view; a surer or nearer mask replaced it."
     )
     return Table(f"{part.set_name}_{part.name}_endings", "How searches end", caption, columns, lines)
 
