@@ -97,7 +97,7 @@ results: install
 	@if [ -f docs/results/rows.tar.xz ]; then tar -xJf docs/results/rows.tar.xz -C $(RESULTS) --skip-old-files; fi
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --methods static,random,explicit,amortized,fuse --timing \
-		--resume --out $(RESULTS)/timing
+		--gallery 2 --resume --out $(RESULTS)/timing
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes large --limit $(LARGE) --methods \
 		static,random,explicit,amortized,fuse --jobs 2 --resume --out $(RESULTS)/large
 	$(BIN)/fuse report $(RESULTS)/paper $(RESULTS)/timing $(RESULTS)/large --out docs/results/report

@@ -3,7 +3,8 @@
 For every episode and view: is the surest instance, of the graph's candidates or of the target's own label,
 a valid object (IoU of at least 0.5)? Counted at the start view, at the view with the most pixels of a valid
 object, at the view with the best grounding score (what an agent that looked everywhere would return), and
-in any view at all. A large step from the first to the others is what active perception lives on.
+in any view at all; then the share of views that are right, of all and by pitch, and the canonical view. A
+large step from the first to the others is what active perception lives on.
 
     python benches/views.py [--episodes dev] [--limit N] [--weights F.onnx] [--json]
 """
@@ -18,12 +19,13 @@ import numpy as np
 
 from fuse_grounding import Config, grounding, knowledge
 from fuse_grounding.benchmark.metrics import iou
-from fuse_grounding.environment import Episode, TabletopEnvironment, load_episodes
+from fuse_grounding.environment import Episode, Observation, TabletopEnvironment, load_episodes
 from fuse_grounding.perception.embedded import EmbeddedSegmenter
 from fuse_grounding.perception.protocol import Detection
 
 PROMPTS = ("candidates", "target label")
-READINGS = ("start", "most pixels", "best score", "any view", "share of views")
+PITCHES = tuple(f"views at {pitch:g} degrees" for pitch in Config().camera.pitches_deg)
+READINGS = ("start", "most pixels", "best score", "any view", "share of views", *PITCHES, "canonical view")
 
 
 def judged(
@@ -41,7 +43,7 @@ def judged(
 def episode_views(
     episode: Episode, segmenter: EmbeddedSegmenter, config: Config
 ) -> dict[str, dict[str, float]]:
-    """Each reading as 0 or 1 (the last a share) for each way of prompting."""
+    """Each reading as 0, 1 or a share of views, for each way of prompting."""
     environment = TabletopEnvironment(episode)
     source, query = knowledge.make(config.knowledge), knowledge.parse(episode.query)
     labels = source.hypotheses(query, segmenter.labels, None).labels
@@ -51,17 +53,19 @@ def episode_views(
     right = {name: np.zeros((36, 3), bool) for name in PROMPTS}
     score = {name: np.zeros((36, 3)) for name in PROMPTS}
     pixels = np.zeros((36, 3), int)
-    for node in range(36):
-        for pitch in range(3):
-            seen = environment.render_at(node, pitch)
-            assert seen.instance is not None
-            assert seen.depth is not None
-            pixels[node, pitch] = max(np.count_nonzero(seen.instance == i) for i in valid)
-            for name, labels_asked in prompts.items():
-                detections = segmenter.segment(seen.rgb, labels_asked) if labels_asked else []
-                right[name][node, pitch], score[name][node, pitch] = judged(
-                    detections, seen.depth, seen.instance, valid, config
-                )
+
+    def judge(seen: Observation, name: str) -> tuple[bool, float]:
+        assert seen.instance is not None
+        assert seen.depth is not None
+        detections = segmenter.segment(seen.rgb, prompts[name]) if prompts[name] else []
+        return judged(detections, seen.depth, seen.instance, valid, config)
+
+    for view in np.ndindex(36, 3):
+        seen = environment.render_at(*view)
+        pixels[view] = max(np.count_nonzero(seen.instance == i) for i in valid)
+        for name in PROMPTS:
+            right[name][view], score[name][view] = judge(seen, name)
+    above = environment.canonical_observation()
     return {
         name: {
             "start": float(right[name][episode.start]),
@@ -69,6 +73,8 @@ def episode_views(
             "best score": float(right[name].flat[score[name].argmax()]),
             "any view": float(right[name].any()),
             "share of views": float(right[name].mean()),
+            **dict(zip(PITCHES, right[name].mean(0).tolist(), strict=True)),
+            "canonical view": float(judge(above, name)[0]),
         }
         for name in PROMPTS
     }
