@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuse_grounding import evidence
 from fuse_grounding.benchmark.methods import METHODS, resolve
 from fuse_grounding.config import Config
 from fuse_grounding.errors import FuseError, InputError
@@ -15,6 +16,7 @@ from fuse_grounding.planning.explicit import Explicit, evidence_maps
 from fuse_grounding.planning.options import leads_on
 from fuse_grounding.planning.protocol import Rendering, Situation
 from fuse_grounding.planning.random_walk import RandomWalk
+from fuse_grounding.planning.sweep import Sweep
 from fuse_grounding.record import Stopwatch
 from fuse_grounding.registry import Registry
 
@@ -168,6 +170,22 @@ def test_random_walks_repeat_by_seed_and_respect_the_mask():
     assert first == draw(2)
     assert first != draw(3)
     assert set(first) == set(range(5, 15))  # every feasible action, the no-op included
+
+
+def test_a_sweep_goes_down_then_around_and_looks_at_nothing():
+    policy, seen = Sweep(), situation(region(slice(0, 1), slice(0, 1)))
+    moves = []
+    for feasible in ("down", "around", "by one", "stay"):
+        left = seen.feasible.copy()
+        for action, (ring, pitch) in enumerate(evidence.ACTIONS):
+            if feasible != "down" and pitch == 1:
+                left[action] = False
+            if feasible in ("by one", "stay") and abs(ring) == 2:
+                left[action] = False
+            if feasible == "stay" and ring:
+                left[action] = False
+        moves.append(policy.decide(replace(seen, feasible=left), Stopwatch()).action)
+    assert [evidence.ACTIONS[m] for m in moves if m is not None] == [(0, 1), (2, 0), (1, 0), (0, 0)]
 
 
 def test_methods_say_what_they_need():

@@ -94,6 +94,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     methods = [
         "static",
         "random",
+        "sweep",
         "semantic_only",
         "geometry_only",
         "explicit",
@@ -326,6 +327,6 @@ def test_without_scripts_everything_is_there(browser: Browser, page: Path):
         browser.open(page, 1440)
         assert browser.run("document.querySelectorAll('thead button').length") == 0
         assert browser.run("document.querySelectorAll('.frame[hidden]').length") == 0
-        assert browser.run("document.querySelectorAll('#dev_main tbody tr').length") == 9
+        assert browser.run("document.querySelectorAll('#dev_main tbody tr').length") == 10
     finally:
         browser.call("Emulation.setScriptExecutionDisabled", value=False)

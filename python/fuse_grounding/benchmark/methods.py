@@ -20,6 +20,7 @@ from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
 from fuse_grounding.planning.protocol import Policy
 from fuse_grounding.planning.random_walk import RandomWalk
+from fuse_grounding.planning.sweep import Sweep
 from fuse_grounding.planning.vlm import Vlm
 from fuse_grounding.registry import Registry, unknown
 
@@ -101,6 +102,12 @@ _add(
     lambda config, episode: RandomWalk(config.random.seed + episode),
     maps=False,
     summary="uniform over the feasible actions",
+)
+_add(
+    "sweep",
+    lambda config, episode: Sweep(),
+    maps=False,
+    summary="further down, then around the table: sees nothing",
 )
 _add(
     "vlm",

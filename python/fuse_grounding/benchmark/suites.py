@@ -30,7 +30,7 @@ class Part:
     optional: tuple[str, ...] = ()
 
 
-_LADDER = ("static", "canonical", "random", "semantic_only", "geometry_only", "explicit")
+_LADDER = ("static", "canonical", "random", "sweep", "semantic_only", "geometry_only", "explicit")
 _FUSE = ("fuse",)
 _ITS_OWN = {"weights": None, "threshold": None}
 """What is configured of the segmenter is for another one."""

@@ -8,6 +8,7 @@ METHODS = {
     "static": "Static",
     "canonical": "Canonical View",
     "random": "Random Active",
+    "sweep": "Blind Sweep",
     "vlm": "VLM Active",
     "semantic_only": "Semantic Only",
     "geometry_only": "Geometry Only",
@@ -16,7 +17,7 @@ METHODS = {
     "fuse": "FUSE",
     "fuse_oracle": "Oracle-Label FUSE",
 }
-"""The paper's methods in the paper's order; each has the series style of its place, in every plot."""
+"""The paper's methods in the paper's order, and `sweep`, ours; each has its place's style in every plot."""
 
 PARTS = {
     "main": "Methods",

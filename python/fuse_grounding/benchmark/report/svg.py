@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
-STYLES = 10
+STYLES = 11
 """Number of series styles (colour and marker) that the style sheet knows."""
 
 _SMALL = 7.4
@@ -258,10 +258,16 @@ def _plus(x: float, y: float, size: float) -> str:
     return f'<path d="M{x - size:.1f} {y:.1f}h{2 * size:.1f}M{x:.1f} {y - size:.1f}v{2 * size:.1f}"/>'
 
 
+def _hollow_square(x: float, y: float, size: float) -> str:
+    s = size * 0.75
+    return f'<rect class="hollow" x="{x - s:.1f}" y="{y - s:.1f}" width="{2 * s:.1f}" height="{2 * s:.1f}"/>'
+
+
 _SHAPES: Sequence[Callable[[float, float, float], str]] = (
     lambda x, y, size: f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{size * 0.9:.1f}"/>',
     _polygon(4, math.pi / 4),
     _polygon(3, 0),
+    _hollow_square,
     _polygon(4, 0),
     _polygon(3, math.pi),
     _cross,
