@@ -9,9 +9,10 @@ import threading
 
 
 def settle(threads: int) -> None:
-    """For a process that `multiprocessing` spawned: it leaves interrupts to its parent, ends when that ends,
-    and gives native code `threads` threads. Native threads start at first use, after this."""
+    """For a process that `multiprocessing` spawned: it leaves interrupts to its parent, ends when that ends
+    or when it is told to, and gives native code `threads` threads, which start at first use, after this."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # COLMAP's handler would dump its stack
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["RAYON_NUM_THREADS"] = str(threads)
 

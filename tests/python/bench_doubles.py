@@ -92,6 +92,10 @@ def raising() -> Method:
     return Method("raising", _only_in_one(_boom))
 
 
+def always() -> Method:
+    return Method("always", lambda config, episode: Walk(_boom))
+
+
 def wrong() -> Method:
     return Method("wrong", _only_in_one(_wrong))
 

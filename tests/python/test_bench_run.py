@@ -16,7 +16,11 @@ from typing import Any
 import pytest
 
 from fuse_grounding.benchmark.store import HEADER, RESULTS
+from fuse_grounding.benchmark.worker import Setup, Task, Worker
 from fuse_grounding.cli.app import execute
+from fuse_grounding.config import Config
+from fuse_grounding.environment import load_episodes
+from fuse_grounding.perception.embedded import EmbeddedSegmenter
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "benchmark.md"
 EYE = ["--segmenter", "bench_doubles:Eye"]
@@ -143,17 +147,19 @@ def test_killed_and_resumed_it_ends_as_if_never_interrupted(whole: Path, tmp_pat
     assert all(kept[r["index"], r["method"]] == r for r in before)  # nothing twice
 
 
-def test_an_interrupt_stops_the_workers_and_says_how_to_go_on(tmp_path: Path):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_stops_the_workers_and_says_how_to_go_on(tmp_path: Path, number: int, status: int):
     out = tmp_path / "b"
     child = started(out, lambda: (out / RESULTS).exists() and len(rows(out)) >= 1, "--jobs", "2")
-    os.killpg(child.pid, signal.SIGINT)
+    os.killpg(child.pid, number)
     _, stderr = child.communicate(timeout=30)
-    assert child.returncode == 130
+    assert child.returncode == status
     done = len(rows(out))
     assert f"interrupted: {done} of 6 results are in {out}; the same command with --resume" in (
         stderr.replace("\n", " ")
     )
     assert "Traceback" not in stderr
+    assert "Aborted" not in stderr  # nor a stack of native code
     assert gone(child.pid)
 
 
@@ -251,6 +257,42 @@ def test_latencies_of_a_folder_are_printed_without_running(whole: Path, capsys: 
     assert "walk, 3 episodes" in capsys.readouterr().out
     assert execute(arguments(whole, METHODS, "--timing", "--resume")) == 0
     assert "6 of 6 results are there already" in capsys.readouterr().out
+
+
+def test_no_method_has_its_first_view_for_nothing(monkeypatch: pytest.MonkeyPatch):
+    looked: list[int] = []
+    find = EmbeddedSegmenter._find
+    monkeypatch.setattr(EmbeddedSegmenter, "_find", lambda self, rgb: looked.append(1) or find(self, rgb))  # type: ignore[func-returns-value]
+    worker, episode = Worker([Setup(Config().to_dict(), {"static": "static"})]), load_episodes("dev")[0]
+    counts = []
+    for _ in range(2):
+        looked.clear()
+        assert worker.run(Task(0, 0, "static", episode)).row["status"] == "ok"
+        counts.append(len(looked))
+    assert counts == [1, 1]
+
+
+def test_what_cannot_be_timed_is_said_and_the_rest_is(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert execute(arguments(tmp_path / "b", "random,bench_doubles:always", "--timing", limit=1)) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "`always` has no episode that ran through" in told
+    assert "random, 1 episodes" in told
+    assert execute(["bench", "--timing", "--out", str(tmp_path / "typo")]) == 2
+    assert f"there is no {RESULTS} in it" in capsys.readouterr().err
+    assert not (tmp_path / "typo").exists()
+    assert execute(["bench", "--timing", "--out", str(whole.parent)]) == 2
+    assert "its parts are out" in capsys.readouterr().err
+    assert execute(arguments(tmp_path / "two", METHODS, "--jobs", "2", limit=1)) == 0
+    assert execute(arguments(tmp_path / "two", METHODS, "--timing", "--resume")) == 2
+    assert "2 results in" in capsys.readouterr().err
+    assert len(rows(tmp_path / "two")) == 2  # refused before anything ran
+
+
+def test_no_methods_are_not_the_default_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert execute(arguments(tmp_path / "b", "")) == 2
+    assert "--methods is empty" in capsys.readouterr().err
 
 
 def test_the_method_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -18,6 +18,7 @@ from fuse_grounding.environment import Episode, TabletopEnvironment
 from fuse_grounding.errors import UnusableError
 from fuse_grounding.grounding import Grounded
 from fuse_grounding.parts import Watcher
+from fuse_grounding.perception import last_picture
 from fuse_grounding.record import StepEntry
 
 Row = dict[str, Any]
@@ -45,6 +46,7 @@ def run_one(
         settings = agent.config
         environment = TabletopEnvironment(episode, settings.render.device, sensor=settings.sensor)
         environment.true_targets()  # counts pixels where an episode brings no statistics
+        last_picture.forget()  # networks are shared, and no method pays for another's first view
         began = time.perf_counter()
         trace, calls = Trace(settings), _Calls()
         watching: list[Watcher] = [trace, calls, *watchers]

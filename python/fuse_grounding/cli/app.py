@@ -1,13 +1,15 @@
 """`fuse`: an exit status for whatever happens, from the first moment on.
 
-0 done, 1 ran but failed, 2 bad usage or input, 130 interrupted.
+0 done, 1 ran but failed, 2 bad usage or input, 130 interrupted, 143 told to end.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 
 def execute(arguments: Sequence[str] | None = None) -> int:
@@ -16,12 +18,24 @@ def execute(arguments: Sequence[str] | None = None) -> int:
         # Loading takes a second, and must not answer an interrupt with a traceback.
         from fuse_grounding.cli.commands import attempt
 
+        # After loading: COLMAP's handler would dump its stack.
+        signal.signal(signal.SIGTERM, _end)
         status = attempt(arguments)
     except KeyboardInterrupt:
         status = 130
     if status == 130:
         print("fuse: interrupted; what was finished is kept", file=sys.stderr)
-    return status
+    return 143 if status == 130 and _ended else status
+
+
+_ended: list[int] = []
+"""The signal that told this process to end, once it came."""
+
+
+def _end(number: int, _frame: Any) -> None:
+    """What a scheduler asks for is an interrupt, too."""
+    _ended.append(number)
+    raise KeyboardInterrupt
 
 
 def main() -> None:

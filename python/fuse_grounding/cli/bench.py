@@ -67,8 +67,8 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON only.")] = False,
 ) -> None:
     """Run methods over a set of episodes, or a suite of them; docs/benchmark.md."""
-    if timing and episodes is methods is suite is None and store.has_results(out):
-        values = _tables(store.load(out)[1], True, Teller(out, quiet=as_json))
+    if timing and episodes is methods is suite is limit is None and not resume:
+        values = _timed(out, Teller(out, quiet=as_json))
         if as_json:
             print_json(values)
         return
@@ -82,13 +82,17 @@ def command(
     means = _means(engine, jobs, timing, gallery)
     if suite is not None and methods is not None:
         raise InputError(f"--suite {suite} says which methods run; leave out --methods {methods}")
-    chosen = load_episodes(episodes or _EPISODES)[:limit]
+    chosen = load_episodes(_EPISODES if episodes is None else episodes)[:limit]
     if not chosen:
         raise InputError(f"{episodes} has no episodes")
     if suite is None:
-        parts = [_plan(out, settings, chosen, methods or _METHODS, gallery, resume)]
+        asked = _METHODS if methods is None else methods
+        parts = [_plan(out, settings, chosen, asked, gallery, resume)]
     else:
         parts = suites.plans(suite, out, settings, chosen, gallery=gallery, resume=resume)
+    if timing:
+        for part in parts:
+            _only_alone(part.out)
     teller = Teller(out, quiet=as_json)
     try:
         ran = run_benchmarks(parts, means, teller) if suite is None else suites.run(parts, means, teller)
@@ -111,6 +115,30 @@ def _plan(
     if not names:
         raise InputError(f"--methods is empty; known: {', '.join(METHODS.names())}")
     return Plan(out, settings, episodes, names, gallery=gallery, resume=resume)
+
+
+def _timed(out: Path, teller: Teller) -> list[Any]:
+    """Prints the latency tables of a folder. Raises InputError for one that has none."""
+    if not store.has_results(out):
+        parts = sorted(p.parent.name for p in out.glob(f"*/{store.RESULTS}"))
+        found = f"its parts are {', '.join(parts)}" if parts else f"there is no {store.RESULTS} in it"
+        raise InputError(
+            "--timing without --episodes, --methods, --suite or --limit prints the times of a folder that "
+            f"has results, and {out} has none itself: {found}"
+        )
+    values = _latencies(store.load(out)[1], teller)
+    if not values:
+        raise InputError(f"nothing in {out} can be timed")
+    return values
+
+
+def _only_alone(out: Path) -> None:
+    """Raises InputError where rows are there already that would make the table no measurement."""
+    if store.has_results(out) and (beside := sum(bool(r.get("concurrent")) for r in store.load(out)[1])):
+        raise InputError(
+            f"{beside} results in {out} were made beside others, with --jobs: their times are no "
+            "measurement; choose another --out for --timing"
+        )
 
 
 def _means(engine: str, jobs: int | None, timing: bool, gallery: int) -> Means:
@@ -141,18 +169,23 @@ def _told(plan: Plan, outcome: Outcome, timing: bool, teller: Teller) -> list[An
         teller.note(f"{plan.out.name}: {name} was not run: {reason}")
     if outcome.rows:
         teller.out.print(f"\nresults     {plan.out / store.RESULTS}")
-    return _tables(outcome.rows, timing, teller)
+    if timing:
+        return _latencies(outcome.rows, teller)
+    summaries = [summary(name, outcome.rows) for name in dict.fromkeys(r["method"] for r in outcome.rows)]
+    if summaries:
+        teller.table(summary_table(summaries))
+    return summaries
 
 
-def _tables(rows: list[Row], timing: bool, teller: Teller) -> list[Any]:
-    """Prints the latency of each method, or the summary of all; the values."""
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    if not timing:
-        summaries = [summary(name, rows) for name in names]
-        if summaries:
-            teller.table(summary_table(summaries))
-        return summaries
-    tables = [latency([r for r in rows if r["method"] == name]) for name in names]
-    for table in tables:
-        teller.table(latency_table(table))
-    return [table.to_dict() for table in tables]
+def _latencies(rows: list[Row], teller: Teller) -> list[Any]:
+    """Prints the latency of each method, or why there is none; the values."""
+    values = []
+    for name in dict.fromkeys(row["method"] for row in rows):
+        try:
+            table = latency([r for r in rows if r["method"] == name])
+        except InputError as error:
+            teller.note(str(error))
+        else:
+            teller.table(latency_table(table))
+            values.append(table.to_dict())
+    return values

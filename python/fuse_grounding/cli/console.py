@@ -39,7 +39,8 @@ def writable_folder(folder: Path) -> None:
 
 @contextmanager
 def interruptible(kept: str = "nothing was written") -> Iterator[None]:
-    """Within it an interrupt ends the process at once, with 130, even in native code that does not listen.
+    """Within it an interrupt ends the process at once, with 130 (being told to end: 143), even in native code
+    that does not listen.
 
     `kept` says what is left.
 
@@ -50,9 +51,9 @@ def interruptible(kept: str = "nothing was written") -> Iterator[None]:
 
     def listen() -> None:
         while number := os.read(reading, 1):
-            if number[0] == signal.SIGINT:
+            if number[0] in (signal.SIGINT, signal.SIGTERM):
                 print(f"fuse: interrupted; {kept}", file=sys.stderr, flush=True)
-                os._exit(130)
+                os._exit(128 + number[0])
 
     listener = threading.Thread(target=listen, daemon=True)
     listener.start()

@@ -21,6 +21,7 @@ import numpy as np
 
 from fuse_grounding.errors import InputError
 from fuse_grounding.perception import crops, onnx
+from fuse_grounding.perception.last_picture import LastPicture
 from fuse_grounding.perception.prompts import check_labels, check_picture
 from fuse_grounding.perception.protocol import Detection
 
@@ -209,7 +210,7 @@ class EmbeddedSegmenter:
                 "geometry": np.zeros((1, crops.GEOMETRY), np.float32),
             }
             _check_width(path, self._second, "logits", count + 1, blank, labels)
-        self._cache: tuple[bytes, Candidates] | None = None
+        self._found = LastPicture(self._find)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -236,11 +237,7 @@ class EmbeddedSegmenter:
 
     def candidates(self, rgb: np.ndarray) -> Candidates:
         """Every object of `rgb` (H, W, 3) uint8, whatever it is; the last picture's are remembered."""
-        rgb = check_picture(rgb)
-        key = hashlib.blake2b(rgb.tobytes(), key=str(rgb.shape).encode()).digest()
-        if self._cache is None or self._cache[0] != key:
-            self._cache = (key, self._find(rgb))
-        return self._cache[1]
+        return self._found(check_picture(rgb))
 
     def _find(self, rgb: np.ndarray) -> Candidates:
         s = self._settings

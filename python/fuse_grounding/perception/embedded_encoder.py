@@ -22,6 +22,7 @@ import numpy as np
 from fuse_grounding import tensors
 from fuse_grounding.errors import InputError
 from fuse_grounding.perception import onnx
+from fuse_grounding.perception.last_picture import LastPicture
 from fuse_grounding.perception.prompts import check_picture, check_texts, quoted
 from fuse_grounding.perception.wordpiece import UNKNOWN, WordPiece
 
@@ -116,7 +117,7 @@ class EmbeddedEncoder:
             "patches": (1, height // STRIDE, width // STRIDE, self.dimensions),
         }
         self._session = onnx.session(self.path, takes, gives, threads, weights)
-        self._cache: tuple[bytes, np.ndarray, np.ndarray] | None = None
+        self._seen = LastPicture(self._look)
 
     def text(self, texts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.text`."""
@@ -124,22 +125,18 @@ class EmbeddedEncoder:
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
         """(D,) float32 of unit length; see `Encoder.image`."""
-        return self._look(rgb)[0].copy()
+        return self._seen(check_picture(rgb))[0].copy()
 
     def patches(self, rgb: np.ndarray) -> np.ndarray:
         """(h, w, D) float32 of unit length, a patch for every 16 pixels of the network's input."""
-        return self._look(rgb)[1].copy()
+        return self._seen(check_picture(rgb))[1].copy()
 
     def _look(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One run of the network; the last picture's is remembered."""
-        rgb = check_picture(rgb)
-        key = hashlib.blake2b(rgb.tobytes(), key=str(rgb.shape).encode()).digest()
-        if self._cache is None or self._cache[0] != key:
-            picture, (w, h) = letterbox(rgb, self.settings.size)
-            embedding, patches = self._session.run(["embedding", "patches"], {"image": picture[None]})
-            seen = patches[0, : -(-h // STRIDE), : -(-w // STRIDE)]
-            self._cache = (key, embedding[0], np.ascontiguousarray(seen))
-        return self._cache[1:]
+        """One run of the network."""
+        picture, (w, h) = letterbox(rgb, self.settings.size)
+        embedding, patches = self._session.run(["embedding", "patches"], {"image": picture[None]})
+        seen = patches[0, : -(-h // STRIDE), : -(-w // STRIDE)]
+        return embedding[0], np.ascontiguousarray(seen)
 
 
 def files(path: Path | None) -> tuple[Path, ...]:

@@ -8,7 +8,6 @@ picture before any label is computed once.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from fuse_grounding.errors import InputError
 from fuse_grounding.extras import require
 from fuse_grounding.perception import checkpoint, torch_models
+from fuse_grounding.perception.last_picture import LastPicture
 from fuse_grounding.perception.prompts import check_labels, check_picture, quoted, words
 from fuse_grounding.perception.protocol import Detection
 from fuse_grounding.perception.sam3_layout import translate
@@ -78,7 +78,7 @@ class Sam3Segmenter:
             self._model.to(self.device)
             self._processor = _processor(library, root, int(self._model.config.image_size))
         self._longest = int(self._model.config.text_config.max_position_embeddings)
-        self._seen: tuple[bytes, Any] | None = None
+        self._seen = LastPicture(self._look)
 
     def segment(self, rgb: np.ndarray, labels: Sequence[str]) -> list[Detection]:
         """See `Segmenter`. Raises InputError for a label of more tokens than the model reads."""
@@ -87,7 +87,7 @@ class Sam3Segmenter:
         detections = []
         with self._torch.inference_mode():
             for label, tokens in prompts.items():
-                found = self._model(vision_embeds=self._look(rgb), **tokens)
+                found = self._model(vision_embeds=self._seen(rgb), **tokens)
                 (kept,) = self._processor.post_process_instance_segmentation(
                     found, self._threshold, MASK_THRESHOLD, target_sizes=[rgb.shape[:2]]
                 )
@@ -109,12 +109,9 @@ class Sam3Segmenter:
         return {key: tokens[key].to(self.device) for key in ("input_ids", "attention_mask")}
 
     def _look(self, rgb: np.ndarray) -> Any:
-        """What the image encoder makes of a picture; the last one's is remembered."""
-        key = hashlib.blake2b(rgb.tobytes(), key=str(rgb.shape).encode()).digest()
-        if self._seen is None or self._seen[0] != key:
-            pixels = self._processor.image_processor(rgb, return_tensors="pt")["pixel_values"]
-            self._seen = (key, self._model.get_vision_features(pixel_values=pixels.to(self.device)))
-        return self._seen[1]
+        """What the image encoder makes of a picture."""
+        pixels = self._processor.image_processor(rgb, return_tensors="pt")["pixel_values"]
+        return self._model.get_vision_features(pixel_values=pixels.to(self.device))
 
 
 def _processor(library: Any, root: Path, size: int) -> Any:
