@@ -89,12 +89,13 @@ data: install
 	$(BIN)/fuse episodes generate --split all --out python/fuse_grounding/data/episodes
 	for set in train dev eval large; do $(BIN)/fuse episodes card $$set --out docs/episodes || exit; done
 
-# Every table of docs/results, from the rows that are kept there: hours, resumable. Rows go on only where the
-# packages that decide results are those that made them; `make results ROWS= RESULTS=DIR` starts from nothing.
+# Every table of docs/results, from the rows that are kept there, with the packages that made them: hours,
+# resumable. `make results ROWS= RESULTS=DIR` starts from nothing.
 RESULTS ?= runs/results
 ROWS ?= docs/results/rows.tar.xz
 LARGE ?= 200
 results: install
+	$(BIN)/python -m pip install --quiet -r docs/results/packages.txt
 	@mkdir -p $(RESULTS)
 	@if [ -n "$(ROWS)" ]; then tar -xJf $(ROWS) -C $(RESULTS) --skip-old-files; fi
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
