@@ -25,7 +25,7 @@ from fuse_grounding.knowledge.protocol import Confidant
 from fuse_grounding.knowledge.vocabulary import nothing_known
 from fuse_grounding.parts import Glance, Parts, Watcher, surer
 from fuse_grounding.perception.protocol import Detection, Segmenter
-from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation
+from fuse_grounding.planning.protocol import Decision, EvidenceMaps, Situation, check_decision, check_policy
 from fuse_grounding.record import HOSTED, StepEntry, Stopwatch
 from fuse_grounding.registration.protocol import RegisteredView
 
@@ -62,8 +62,7 @@ class Agent:
     ) -> Session:
         """A search for a robot that owns its camera, which stands at `node` and `pitch_index`.
 
-        `world` is asked by the oracle knowledge source alone. Raises InputError for a query that is
-        not understood.
+        `world` is asked by the oracle knowledge source alone. Raises InputError for a query not understood.
         """
         return Session(self.config, self._parts, query, (node, pitch_index), episode_index, world, watchers)
 
@@ -118,7 +117,7 @@ class Session:
         whole("episode_index", episode_index)
         self.query = parts.understand(query)
         self.hypotheses = parts.knowledge.hypotheses(self.query, parts.segmenter.labels, world)
-        self.policy = parts.policy(episode_index)
+        self.policy = check_policy(parts.policy(episode_index))
         self.spatial = parts.spatial() if self.hypotheses.candidates else None
         self._patience = evidence.Patience(config.stopping.patience)
         self._seeds: list[Observation] = []
@@ -211,7 +210,8 @@ class Session:
             step, view = self._ground(seen, registered, detections)
         if (reason := nothing_known(self.hypotheses) or self._stop_reason(step)) is not None:
             return self._finish(step, reason)
-        decision = self.policy.decide(self._situation(view, feasible), self.clock)
+        made = self.policy.decide(self._situation(view, feasible), self.clock)
+        decision = check_decision(self.policy, made)
         ledger.note(self.record, step, decision)
         self._keep(step, decision.maps)
         if decision.action is None:

@@ -55,7 +55,7 @@ def assemble(config: Config, shelf: Shelf | None = None) -> tuple[Parts, Config]
     method, config = resolve(config)
     knowledge.make(config.knowledge)
     # What cannot run says so before anything is loaded.
-    plans = method.policy(config, 0).planner not in (None, "none")
+    plans = method.first_policy(config).planner not in (None, "none")
     announcements = mapping.check(config.map) if method.maps else []
     rendered_on = render_device(config.render.device)
     if config.render.device != "cpu":

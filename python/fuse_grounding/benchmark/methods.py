@@ -5,6 +5,7 @@ A method of a user's own is named `package.module:factory` and needs no change h
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,11 +19,13 @@ from fuse_grounding.planning.amortized import Amortized, load_planner
 from fuse_grounding.planning.explicit import Explicit
 from fuse_grounding.planning.fixed import Fixed
 from fuse_grounding.planning.gated import Gated
-from fuse_grounding.planning.protocol import Policy
+from fuse_grounding.planning.protocol import Policy, check_policy
 from fuse_grounding.planning.random_walk import RandomWalk
 from fuse_grounding.planning.sweep import Sweep
 from fuse_grounding.planning.vlm import Vlm
 from fuse_grounding.registry import Registry, unknown
+
+STOPPING = ("patience", "one view", "policy")
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,25 @@ class Method:
     registration: str | None = None
     patience: int | None = None
     source: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError for a way of stopping that does not exist."""
+        if self.stopping not in STOPPING:
+            raise InputError(f"method `{self.name}`: {unknown('stopping', str(self.stopping), [*STOPPING])}")
+
+    def first_policy(self, config: Config) -> Policy:
+        """The first episode's policy, held against the protocol. Raises InputError, also for what a maker of
+        a user's own raises."""
+        whose = f"method `{self.name}`" + ("" if self.source is None else f" ({self.source.name})")
+        try:
+            return check_policy(self.policy(config, 0), f"{whose}: ")
+        except Exception as error:
+            if self.source is None or isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{whose}: its policy cannot be made: {type(error).__name__}: {error}; "
+                "expected a function of the configuration and the episode's index"
+            ) from error
 
     def settle(self, config: Config) -> Config:
         """`config` as this method runs it. Raises InputError for a setting that does not exist."""
@@ -166,7 +188,7 @@ def resolve(config: Config) -> tuple[Method, Config]:
 def _own(reference: str) -> Method:
     factory = user_code.find("method", reference, "factory")
     who = f"method `{reference}`"
-    if not callable(factory):
+    if not (inspect.isroutine(factory) or inspect.isclass(factory)):  # a partial has no file of its own
         raise InputError(f"{who} is a {type(factory).__name__}, expected a function that makes a Method")
     try:
         made = factory()
@@ -178,7 +200,7 @@ def _own(reference: str) -> Method:
         raise InputError(
             f"{who} made a {type(made).__name__}, expected a fuse_grounding.benchmark.methods.Method"
         )
-    if not re.fullmatch(r"[A-Za-z0-9_.-]+", made.name):
+    if not isinstance(made.name, str) or not re.fullmatch(r"[A-Za-z0-9_.-]+", made.name):
         raise InputError(f"{who} calls itself `{made.name}`, expected letters, digits, `_`, `-` and `.`")
     if made.name in METHODS.names():
         raise InputError(f"{who} calls itself `{made.name}`, which is a method of FUSE's own")

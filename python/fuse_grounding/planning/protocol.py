@@ -8,6 +8,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from fuse_grounding.arguments import whole
+from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.knowledge.protocol import Candidate, Confidant
 from fuse_grounding.perception.protocol import Detection
 from fuse_grounding.record import Stopwatch
@@ -104,6 +106,33 @@ class Policy(Protocol):
     def decide(self, situation: Situation, clock: Stopwatch) -> Decision:
         """The next action; seconds go to the clock's stages refine, render, evidence, predict, plan."""
         ...
+
+
+def check_policy(policy: Any, whose: str = "") -> Policy:
+    """`policy`, held against `Policy`; `whose` begins the sentence. Raises InputError for what is none."""
+    if isinstance(policy, type):
+        raise InputError(f"{whose}policy `{policy.__name__}` is a class, expected an object of it")
+    who, wanted = f"{whose}policy `{type(policy).__name__}`", ("start", "planner", "decide")
+    for name in wanted:
+        if not hasattr(policy, name):
+            raise InputError(f"{who} has no `{name}`, expected {', '.join(wanted)} (planning/protocol.py)")
+    if policy.start not in ("here", "canonical"):
+        raise InputError(f"{who} has the start {policy.start!r}, expected `here` or `canonical`")
+    if not (policy.planner is None or isinstance(policy.planner, str)):
+        raise InputError(f"{who} has the planner {policy.planner!r}, expected its name or None")
+    if not callable(policy.decide):
+        raise InputError(f"{who} has a `decide` that is {policy.decide!r}, expected a method")
+    return policy
+
+
+def check_decision(policy: Policy, decision: Any) -> Decision:
+    """What `policy` returned. Raises FuseError for what is no Decision, InputError for what is no action."""
+    who = f"policy `{type(policy).__name__}`"
+    if not isinstance(decision, Decision):
+        raise FuseError(f"{who} returned {type(decision).__name__}, expected a Decision")
+    if decision.action is not None:
+        whole(f"{who}: action", decision.action, 0, 14)
+    return decision
 
 
 @runtime_checkable
