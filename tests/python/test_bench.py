@@ -59,7 +59,7 @@ def test_a_killed_benchmark_resumes_without_loss_or_repetition(tmp_path: Path):
     with open_store(folder, commit="another", config=Config().with_(method="static")) as again:
         assert again.announcements == [
             f"{folder / RESULTS}: the last line (3) was not written to its end; "
-            "it is left out, and its episode runs again"
+            "it is left out, and what has no result is run"
         ]
         assert again.done("static", "b")
         assert not again.done("static", "a")
@@ -111,6 +111,10 @@ def test_a_full_disk_leaves_whole_lines(tmp_path: Path):
 def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "b"
     with open_store(folder, resume=False) as store:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
+        whole = r"put in order: File too large; the 1 results in it are whole: .* go on with --resume"
+        with pytest.raises(FuseError, match=whole):
+            store.finish()
         store.append(row("static", "a"))
     before = (folder / HEADER).read_text(), (folder / RESULTS).read_text()
     with pytest.raises(InputError, match="exists and is not empty; use --resume"):

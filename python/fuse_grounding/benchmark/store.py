@@ -141,10 +141,7 @@ class ResultStore:
         try:
             _append(self._results, _line(row).encode())
         except OSError as error:
-            raise FuseError(
-                f"{self._results} cannot be written: {error.strerror}; the {len(self._rows)} results in it "
-                "are whole: put it right, then go on with --resume"
-            ) from None
+            raise self._refused("written", error) from None
         self._rows[_key(row)] = row
 
     def finish(self) -> None:
@@ -152,12 +149,18 @@ class ResultStore:
         try:
             write_atomically(self._results, "".join(_line(row) for row in self.rows))
         except OSError as error:
-            raise FuseError(f"{self._results} cannot be put in order: {error.strerror}") from None
+            raise self._refused("put in order", error) from None
 
     def close(self) -> None:
         """Lets go of the folder."""
         if self._held is not None:
             os.close(self._held)
+    def _refused(self, what: str, error: OSError) -> FuseError:
+        return FuseError(
+            f"{self._results} cannot be {what}: {error.strerror}; the {len(self._rows)} results in it are "
+            "whole: put it right, then go on with --resume"
+        )
+
             self._held = None
 
     def _open(self, provenance: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -173,7 +176,7 @@ class ResultStore:
             self._identity = joined(header["identity"], self._identity)
             self._rows, torn = _read_rows(self._results, self._identity)
             if torn is not None:
-                self.announcements.append(f"{torn}; it is left out, and its episode runs again")
+                self.announcements.append(f"{torn}; it is left out, and what has no result is run")
             earlier = header.get("earlier", [])
             if header["provenance"] != provenance:
                 earlier = [*earlier, header["provenance"]]
