@@ -61,9 +61,9 @@ def test_a_killed_benchmark_resumes_without_loss_or_repetition(tmp_path: Path):
             f"{folder / RESULTS}: the last line (3) was not written to its end; "
             "it is left out, and what has no result is run"
         ]
-        assert again.done("static", "b")
-        assert not again.done("static", "a")
-        assert not again.done("random", "a")  # tried again, and known until then
+        assert again.done("static", "b") == lines(folder)[0]
+        assert again.done("static", "a") is None
+        assert again.done("random", "a") is None  # tried again, and known until then
         assert [r["status"] for r in again.rows] == ["error", "ok"]
         again.append(row("random", "a", iou=0.1))
         again.append(row("static", "a", iou=0.25))
@@ -198,7 +198,7 @@ def test_repairs_of_packages_methods_and_episodes_may_be_added(tmp_path: Path):
     with open_store(tmp_path / "b", episodes=more, methods=["random"], packages=repaired, sha256=planner):
         pass
     with open_store(tmp_path / "b", episodes=more, methods=["static"]) as store:
-        assert store.done("static", "a")
+        assert store.done("static", "a") is not None
         assert set(load(tmp_path / "b")[0]["identity"]["methods"]) == {"static", "random"}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from fuse_grounding.benchmark.cluster import RayEngine
-from fuse_grounding.benchmark.driver import Means, Plan, run_benchmark
+from fuse_grounding.benchmark.driver import Means, Plan, run_benchmarks
 from fuse_grounding.benchmark.processes import Processes
 from fuse_grounding.benchmark.runner import Row
 from fuse_grounding.benchmark.store import RESULTS
@@ -77,9 +77,9 @@ def test_a_lost_node_loses_nothing_and_doubles_nothing(cluster: Any, tmp_path: P
     episodes = load_episodes("dev")[:4]
     heard = Quiet(lambda: made.remove_node(nodes[1], allow_graceful=False))
     plan = Plan(tmp_path / "ray", CONFIG, episodes, methods)
-    outcome = run_benchmark(plan, Means(RayEngine, "ray", None), heard)
+    (outcome,) = run_benchmarks([plan], Means(RayEngine, "ray", None), heard)
     assert heard.rows == len(outcome.rows) == 4
     assert all(row["status"] == "ok" for row in outcome.rows)
     alone = Means(lambda setups: Processes(setups, 1), "local", 1)
-    run_benchmark(Plan(tmp_path / "alone", CONFIG, episodes, methods), alone, Quiet())
+    run_benchmarks([Plan(tmp_path / "alone", CONFIG, episodes, methods)], alone, Quiet())
     assert untimed(tmp_path / "ray") == untimed(tmp_path / "alone")

@@ -89,12 +89,6 @@ def names_of(references: Sequence[str]) -> dict[str, str]:
     return named
 
 
-def run_benchmark(plan: Plan, means: Means, listener: Listener) -> Outcome:
-    """`run_benchmarks` of a single plan."""
-    (outcome,) = run_benchmarks([plan], means, listener)
-    return outcome
-
-
 def run_benchmarks(plans: Sequence[Plan], means: Means, listener: Listener) -> list[Outcome]:
     """Runs what is missing of the plans, episode by episode, so that they can share what an episode takes.
 
@@ -193,12 +187,12 @@ def _run(parts: Sequence[_Part], engine: Engine, listener: Listener) -> None:
 
 def _there(places: Sequence[tuple[ResultStore, Task]]) -> bool:
     """Whether one of the places has the row; then all have it."""
-    found = [rows.row(task.method, task.episode.episode_id) for rows, task in places]
-    done = next((row for row in found if row is not None and row["status"] == "ok"), None)
+    found = [rows.done(task.method, task.episode.episode_id) for rows, task in places]
+    done = next((row for row in found if row is not None), None)
     if done is None:
         return False
     for (rows, _), row in zip(places, found, strict=True):
-        if row is None or row["status"] != "ok":
+        if row is None:
             rows.adopt(done)
     return True
 

@@ -113,14 +113,11 @@ class ResultStore:
         """One row a method and episode, in order of episodes, then methods."""
         return _in_order(self._rows.values())
 
-    def row(self, method: str, episode_id: str) -> Row | None:
-        """The newest row of a pair."""
-        return self._rows.get((method, episode_id))
-
-    def done(self, method: str, episode_id: str) -> bool:
-        """Whether this pair has a row that ran through; a failed one is tried again."""
-        row = self.row(method, episode_id)
-        return row is not None and row["status"] == "ok"
+    def done(self, method: str, episode_id: str) -> Row | None:
+        """The row of a pair that ran through; None where there is none, or a failed one, which is tried
+        again."""
+        row = self._rows.get((method, episode_id))
+        return row if row is not None and row["status"] == "ok" else None
 
     def stamp(self, method: str, episode_id: str) -> str:
         """What a row of this pair is stamped with."""
