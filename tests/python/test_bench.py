@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from fuse_grounding.benchmark import identity
+from fuse_grounding.benchmark.metrics import METRICS
 from fuse_grounding.benchmark.store import HEADER, RESULTS, ResultStore, load
 from fuse_grounding.cli.bench_console import summary
 from fuse_grounding.config import Config
@@ -23,6 +25,16 @@ PROVENANCE: dict[str, Any] = {
     "render_device": "cpu (avx2)",
     "perception": {"segmenter": "cpu (torch)"},
     "commit": "c0ffee",
+}
+MEASURED: dict[str, Any] = {
+    **{metric.name: 1.0 for metric in METRICS},
+    "success": True,
+    "seed_motions": 0,
+    "branches": {"random": 1},
+    "calls": {"segment": 2},
+    "timings": {"segment": 1.0},
+    "wall_seconds": 1.5,
+    "concurrent": False,
 }
 EPISODES = [Episode('{"episode_id": "a", "seed": 1}'), Episode('{"episode_id": "b", "seed": 2}')]
 
@@ -42,7 +54,8 @@ def open_store(
 
 def row(method: str, episode: str, status: str = "ok", **more: Any) -> dict[str, Any]:
     index = [e.episode_id for e in EPISODES].index(episode)
-    return {"index": index, "method": method, "episode_id": episode, "status": status, **more}
+    told = {"index": index, "method": method, "episode_id": episode, "scene": "dev_kitchen", "verb": "cut"}
+    return {**told, "status": status, **(MEASURED if status == "ok" else {"error": "broke"}), **more}
 
 
 def lines(folder: Path) -> list[dict[str, Any]]:
@@ -98,6 +111,10 @@ def test_a_full_disk_leaves_whole_lines(tmp_path: Path):
     try:
         with pytest.raises(FuseError, match=r"File too large; the 1 results in it are whole: .* --resume"):
             store.append(row("static", "b"))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
+        whole = r"put in order: File too large; the 1 results in it are whole: .* go on with --resume"
+        with pytest.raises(FuseError, match=whole):
+            store.finish()
         with pytest.raises(InputError, match="cannot be written: File too large"):
             open_store(tmp_path / "c")
     finally:
@@ -111,10 +128,6 @@ def test_a_full_disk_leaves_whole_lines(tmp_path: Path):
 def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "b"
     with open_store(folder, resume=False) as store:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
-        whole = r"put in order: File too large; the 1 results in it are whole: .* go on with --resume"
-        with pytest.raises(FuseError, match=whole):
-            store.finish()
         store.append(row("static", "a"))
     before = (folder / HEADER).read_text(), (folder / RESULTS).read_text()
     with pytest.raises(InputError, match="exists and is not empty; use --resume"):
@@ -247,8 +260,12 @@ def test_a_broken_line_is_repaired_at_the_end_and_reported_elsewhere(tmp_path: P
     for content, message in [
         (one[:-9] + b"\n" + two + b"\n", "line 1: not a result"),
         (one + b"\n\0\0\n" + two + b"\n", "line 2: not a result"),
-        (one + b"\n" + json.dumps(row("static", "b")).encode() + b"\n", "line 2: not a result"),  # no stamp
-        (one + b"\n7\n", "line 2: not a result"),
+        (
+            one + b"\n" + json.dumps(row("static", "b")).encode() + b"\n",
+            r"line 2: not a result \(`identity` is missing\)",
+        ),
+        (one + b"\n7\n", r"line 2: not a result \(found 7, expected an object\)"),
+        (b"[" * 100_000 + b"\n" + two + b"\n", r"line 1: not a result \(broken JSON\)"),
         (one + b"\n" + unknown + b"\n", "line 2: `static` on `z` is no part of this benchmark"),
         (one + b"\n" + swapped + b"\n", "line 2: a result of another run"),
     ]:
@@ -269,13 +286,91 @@ def test_a_broken_line_is_repaired_at_the_end_and_reported_elsewhere(tmp_path: P
         assert (tmp_path / RESULTS).read_bytes() == one + b"\n"
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("status", "done", "found 'done', expected: 'ok' or 'error'"),
+        ("method", ["static"], r"found \['static'\], expected: a valid string"),
+        ("index", 1, "found 1, expected: 0, the place of `a`"),
+        ("index", -2, "found -2, expected: 0, the place of `a`"),
+        ("index", False, "found False, expected: a valid integer"),
+        ("success", "yes", "found 'yes', expected: a valid boolean"),
+        ("success", 1, "found 1, expected: a valid boolean"),
+        ("iou", "NaN", "found 'NaN', expected: a valid number"),
+        ("iou", float("nan"), "found nan, expected: a finite number"),
+        ("iou", None, "found None, expected: a valid number"),
+        ("iou", 10**400, "found 1000"),
+        ("online_actions", None, "found None, expected: a valid number"),
+        ("runtime_seconds", "1 s", "found '1 s', expected: a valid number"),
+        ("final_score", "0.5", "found '0.5', expected: a valid number"),
+        ("timings", [], r"found \[\], expected: a valid dictionary"),
+        ("timings.segment", None, "found None, expected: a valid number"),
+        ("calls", None, "found None, expected: a valid dictionary"),
+        ("calls.segment", 1.5, "found 1.5, expected: a valid integer"),
+        ("branches", 3, "found 3, expected: a valid dictionary"),
+        ("trace", 0, "found 0, expected: a valid list"),
+    ],
+)
+def test_a_damaged_field_is_named_with_what_was_found(tmp_path: Path, field: str, value: Any, told: str):
+    with open_store(tmp_path) as store:
+        stamped = store.append(row("static", "a"))
+        store.append(row("static", "b"))
+    name, _, inner = field.partition(".")
+    damaged = {**stamped, name: {inner: value} if inner else value}
+    refused(tmp_path, damaged, rf"`{field}`: {told}")
+
+
+def refused(folder: Path, first: dict[str, Any], told: str) -> None:
+    """A folder whose first line became `first` is neither gone on with nor read, and stays as it is."""
+    _, second = (folder / RESULTS).read_text().splitlines()
+    content = f"{json.dumps(first)}\n{second}\n"
+    (folder / RESULTS).write_text(content)
+    for read in (lambda: open_store(folder), lambda: load(folder)):
+        with pytest.raises(InputError, match=rf"line 1: not a result \({told}.*\); the file was changed"):
+            read()
+    assert (folder / RESULTS).read_text() == content
+
+
+@pytest.mark.parametrize("field", [*MEASURED, "index", "status", "scene", "verb"])
+def test_a_missing_field_is_named(tmp_path: Path, field: str):
+    with open_store(tmp_path) as store:
+        stamped = store.append(row("static", "a"))
+        store.append(row("static", "b"))
+    refused(tmp_path, {k: v for k, v in stamped.items() if k != field}, f"`{field}` is missing")
+
+
+def test_metrics_that_may_be_none_are_those_of_the_documentation(tmp_path: Path):
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    (sentences,) = re.findall(r"\*\*None\.\*\*(.*?)No other metric", text, re.S)
+    named = set(re.findall(r"`(\w+)` (?:is None|where|for)", sentences))
+    assert len(named) == 3
+    for metric in METRICS:
+        folder = tmp_path / metric.name
+        with open_store(folder) as store:
+            stamped = store.append({**row("static", "a"), metric.name: None})
+            store.append(row("static", "b"))
+        if metric.name in named:
+            assert load(folder)[1][0] == stamped
+        else:
+            refused(folder, stamped, f"`{metric.name}`: found None, expected: ")
+
+
+def test_an_error_has_its_message_and_counts_as_a_failure_alone(tmp_path: Path):
+    with open_store(tmp_path) as store:
+        stamped = store.append(row("static", "a", "error"))
+        store.append(row("static", "b"))
+    assert load(tmp_path)[1][0] == stamped
+    for field, value in (("success", True), ("iou", "NaN"), ("error", None)):
+        refused(tmp_path, {**stamped, field: value}, f"`{field}`: found {value!r}, expected: ")
+
+
 def test_the_summary_counts_errors_as_failures():
     timings = {"segment": 1.0, "refine": 3.0}
     common: dict[str, Any] = {"online_actions": 4, "total_steps": 8, "wall_seconds": 5.0, "timings": timings}
     rows = [
         row("explicit", "a", success=True, iou=0.9, **common),
         row("explicit", "b", success=False, iou=0.1, **common),
-        row("explicit", "b", status="error", error="broke", success=False, iou=0.0),
+        row("explicit", "b", status="error"),
         row("static", "a", success=True, iou=1.0, **common),
     ]
     s = summary("explicit", rows)

@@ -87,7 +87,7 @@ def test_results_of_another_version_are_refused(tmp_path: Path):
 def test_a_row_that_ran_through_says_whether_it_succeeded(tmp_path: Path):
     folder = write_folder(tmp_path / "broken", success="perhaps")
     with pytest.raises(
-        InputError, match=r"results\.jsonl: `explicit` on dev_0000 ran through, and has no `succ"
+        InputError, match=r"results\.jsonl, line 1: not a result \(`success`: found 'perhaps', expected: "
     ):
         load([folder])
 
@@ -384,7 +384,7 @@ def test_every_plot_has_units_and_a_caption_that_says_n(usual: Report):
 
 
 def test_rows_without_a_trace_make_plots_say_so(tmp_path: Path):
-    found = figures(report_of(write_folder(tmp_path / "b", trace=False, calls=None)))
+    found = figures(report_of(write_folder(tmp_path / "b", trace=False)))
     for name in (
         "success_over_steps",
         "entropy_over_steps",

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.benchmark.identity import IDENTITY_VERSION, difference, joined, stamp
+from fuse_grounding.benchmark.rows import fault
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.record import hold, write_atomically
 
@@ -152,13 +153,13 @@ class ResultStore:
         """Lets go of the folder."""
         if self._held is not None:
             os.close(self._held)
+            self._held = None
+
     def _refused(self, what: str, error: OSError) -> FuseError:
         return FuseError(
             f"{self._results} cannot be {what}: {error.strerror}; the {len(self._rows)} results in it are "
             "whole: put it right, then go on with --resume"
         )
-
-            self._held = None
 
     def _open(self, provenance: dict[str, Any], notes: dict[str, Any]) -> None:
         earlier: list[Any] = []
@@ -228,27 +229,25 @@ def _read_rows(path: Path, identity: Mapping[str, Any]) -> tuple[dict[Key, Row],
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     rows: dict[Key, Row] = {}
+    places = {episode: place for place, episode in enumerate(identity["episodes"])}
     last = len(lines) + (1 if rest else 0)
     torn = f"{path}: the last line ({last}) was not written to its end" if rest else None
     for number, line in enumerate(lines, 1):
         try:
             row = json.loads(line)
-        except ValueError:
+            wrong = fault(row, places)
+        except (ValueError, RecursionError):
             if number == last:
                 return rows, f"{path}: the last line ({number}) is broken"
+            row, wrong = None, "broken JSON"
+        if wrong is not None:
             raise InputError(
-                f"{path}, line {number}: not a result; the file was changed or damaged"
-            ) from None
-        try:
-            found, key, _, _ = row["identity"], _key(row), row["status"], row["index"]
-        except (KeyError, TypeError):
-            raise InputError(
-                f"{path}, line {number}: not a result; the file was changed or damaged"
-            ) from None
-        method, episode = key
+                f"{path}, line {number}: not a result ({wrong}); the file was changed or damaged"
+            )
+        method, episode = key = _key(row)
         if method not in identity["methods"] or episode not in identity["episodes"]:
             raise InputError(f"{path}, line {number}: `{method}` on `{episode}` is no part of this benchmark")
-        wanted = stamp(identity, method, episode)
+        found, wanted = row["identity"], stamp(identity, method, episode)
         if found != wanted:
             raise InputError(
                 f"{path}, line {number}: a result of another run ({found}, not {wanted}); "

@@ -131,8 +131,8 @@ def summary(method: str, rows: list[Row]) -> Row:
     spent = sum(stages.values()) or 1.0
     return {
         **counts,
-        "success": mean(float(r["success"]) for r in mine),
-        "iou": mean(r["iou"] for r in mine),
+        "success": mean(float(r["status"] == "ok" and r["success"]) for r in mine),
+        "iou": mean(r["iou"] if r["status"] == "ok" else 0.0 for r in mine),
         "online_actions": mean(r["online_actions"] for r in ran),
         "total_steps": mean(r["total_steps"] for r in ran),
         "seconds": mean(r["wall_seconds"] for r in ran),

@@ -179,12 +179,6 @@ def _read(path: Path, label: str) -> Folder:
         part = str(header.get("group") or header.get("part") or MAIN)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path / HEADER} is not a benchmark's header: {error!r}") from None
-    broken = next((r for r in rows if r["status"] == "ok" and not isinstance(r.get("success"), bool)), None)
-    if broken is not None:
-        raise InputError(
-            f"{path / RESULTS}: `{broken['method']}` on {broken['episode_id']} ran through, and has no "
-            "`success`"
-        )
     return Folder(path, label, part, what, whence, not_run, rows)
 
 

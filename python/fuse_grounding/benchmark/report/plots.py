@@ -12,6 +12,7 @@ from fuse_grounding.benchmark.report.model import Figure
 from fuse_grounding.benchmark.report.svg import STYLES, Axis, Plot
 
 NO_TRACE = "not recorded: these results have no step-by-step trace"
+NOTHING_RAN = "not recorded: no episode ran through"
 
 
 def styles(arms: Sequence[Arm]) -> dict[str, int]:
@@ -30,8 +31,8 @@ def name(arm: Arm) -> str:
 
 
 def seconds(row: Row) -> float:
-    """Runtime of an episode: as the supplement defines it, where it was measured so."""
-    return float(row.get("runtime_seconds") or row["wall_seconds"])
+    """Runtime of an episode, as the supplement defines it."""
+    return float(row["runtime_seconds"])
 
 
 def legend(arms: Sequence[Arm], style: dict[str, int]) -> list[tuple[int, str]]:
@@ -44,7 +45,7 @@ def pareto(part: Part) -> Figure:
     title, key = "Success against time", f"{part.set_name}_pareto"
     arms = [a for a in part.arms if a.done]
     if not arms:
-        return Figure(key, title, "", missing="not recorded: no episode ran through")
+        return Figure(key, title, "", missing=NOTHING_RAN)
     style = styles(part.arms)
     points = {a.label: (mean(map(seconds, a.done)), share([_won(r) for r in a.rows.values()])) for a in arms}
     times = [x for x, _ in points.values()]

@@ -63,15 +63,8 @@ class Summary:
 
 
 def rows(part: Part) -> list[dict[str, object]]:
-    """All rows of a part with the label of their arm and a runtime, for the paired statistics."""
-    found: list[dict[str, object]] = []
-    for arm in part.arms:
-        for row in arm.rows.values():
-            entry = {**row, ARM: arm.label}
-            if row["status"] == "ok":
-                entry["runtime_seconds"] = plots.seconds(row)
-            found.append(entry)
-    return found
+    """All rows of a part with the label of their arm, for the paired statistics."""
+    return [{**row, ARM: arm.label} for arm in part.arms for row in arm.rows.values()]
 
 
 def summaries(part: Part) -> dict[str, Summary]:

@@ -18,7 +18,7 @@ _SLOW = "explicit"
 
 
 def blocks(part: Part) -> list[Block]:
-    """Runtime and speed-up, bars, and the latency tables of those whose rows count calls."""
+    """Runtime and speed-up, bars, and the latency tables."""
     found = _profiles(part)
     made: list[Block] = [runtime(part), _bars(part, found)]
     if found:
@@ -97,12 +97,8 @@ def _concurrent(arms: Sequence[Arm]) -> list[str]:
 
 
 def _profiles(part: Part) -> dict[str, Latency]:
-    """The latency of every arm whose rows count calls, by label."""
-    return {
-        a.label: latency(list(a.rows.values()), concurrent=True)
-        for a in part.arms
-        if a.done and all(r.get("calls") and "runtime_seconds" in r for r in a.done)
-    }
+    """The latency of every arm that ran through an episode, by label."""
+    return {a.label: latency(list(a.rows.values()), concurrent=True) for a in part.arms if a.done}
 
 
 def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
@@ -188,7 +184,7 @@ def _bars(part: Part, found: Mapping[str, Latency]) -> Figure:
     title, key = "Runtime by component", f"{part.set_name}_latency"
     arms = [a for a in part.arms if a.label in found]
     if not arms:
-        return Figure(key, title, "", missing="not recorded: these results do not count calls by stage")
+        return Figure(key, title, "", missing=plots.NOTHING_RAN)
     everything = list(next(iter(found.values())).components)
     named = [c for c in everything if c != "other"]  # what no stage counted is of the rest
     shown = [c for c in named if any(p.components[c].share_pct >= 1 for p in found.values())]
