@@ -295,14 +295,24 @@ def test_no_methods_are_not_the_default_ones(tmp_path: Path, capsys: pytest.Capt
     assert "--methods is empty" in capsys.readouterr().err
 
 
-def test_the_method_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_method_of_the_documentation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     example = next(s for s in re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S) if "Method(" in s)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lawnmower.py").write_text(example)
     assert execute(arguments(tmp_path / "b", "lawnmower:lawnmower", limit=1)) == 0
     (row,) = rows(tmp_path / "b")
     assert (row["method"], row["branches"]) == ("lawnmower", {"lawnmower": 2})
+    again = arguments(tmp_path / "b", "lawnmower:lawnmower", "--resume", limit=1)
+    monkeypatch.delitem(sys.modules, "lawnmower")
+    assert execute(again) == 0
+    assert rows(tmp_path / "b") == [row]
     # Another version of it is another method.
     (tmp_path / "lawnmower.py").write_text(example + "\n# changed\n")
     monkeypatch.delitem(sys.modules, "lawnmower")
-    assert execute(arguments(tmp_path / "b", "lawnmower:lawnmower", "--resume", limit=1)) == 2
+    assert execute(again) == 2
+    assert re.search(
+        r"made with other weights \(`weights\.method` is \w{12} there and \w{12} here, method `lawnmower`\)",
+        capsys.readouterr().err,
+    )
