@@ -13,8 +13,12 @@ from agent_doubles import Kit, World
 
 from fuse_grounding.agent import Agent
 from fuse_grounding.assembly import assemble
+from fuse_grounding.benchmark import cluster
+from fuse_grounding.benchmark.cluster import RayEngine
 from fuse_grounding.benchmark.methods import METHODS, Method
+from fuse_grounding.benchmark.processes import Processes
 from fuse_grounding.benchmark.store import RESULTS
+from fuse_grounding.benchmark.worker import Setup
 from fuse_grounding.cli.app import execute
 from fuse_grounding.config import Config
 from fuse_grounding.errors import FuseError, InputError
@@ -148,3 +152,26 @@ def test_what_is_no_decision_is_the_row_of_its_episode(here: Path):
     assert execute(["bench", *few, "--methods", "own:nine", "--out", "b"]) == 1
     (row,) = [json.loads(line) for line in (here / "b" / RESULTS).read_text().splitlines()]
     assert row["error"] == "FuseError: policy `P` returned int, expected a Decision"
+
+
+@pytest.mark.parametrize(
+    ("engine", "sentence"),
+    [
+        (Processes, "a worker process died while it was loading (exit status 3)"),
+        (RayEngine, "a worker of the cluster was lost 2 times while it was loading (WorkerCrashedError)"),
+    ],
+)
+def test_a_worker_that_dies_while_it_loads_is_told(
+    here: Path, monkeypatch: pytest.MonkeyPatch, engine: Any, sentence: str
+):
+    if engine is RayEngine:
+        pytest.importorskip("ray", reason="ray is not installed: pip install 'fuse-grounding[ray]'")
+    monkeypatch.setattr(cluster, "RETRIES", 1)
+    (here / "own.py").write_text(
+        f"import os\n{OWN}def dying(): return mine(lambda config, episode: os._exit(3))"
+    )
+    setup = Setup(Config().to_dict(), {"mine": "own:dying"}, path=(str(here),))
+    workers = engine([setup], None, 1) if engine is RayEngine else engine([setup], 1)
+    with workers, pytest.raises(FuseError) as caught:
+        workers.load()
+    assert str(caught.value) == f"{sentence}; results so far are kept"

@@ -59,9 +59,15 @@ class RayEngine:
             self._ours = False
 
     def load(self) -> tuple[Loaded, ...]:
-        """What the first worker has of each part. Raises InputError for what cannot be loaded."""
+        """What the first worker has. Raises InputError for what cannot be loaded, FuseError if it is lost."""
         if self._loaded is None:
-            self._loaded = self._content(self._remote(_describe).remote(self._setups))
+            try:
+                self._loaded = self._content(self._remote(_describe).remote(self._setups))
+            except _LostError as loss:
+                raise FuseError(
+                    f"a worker of the cluster was lost {RETRIES + 1} times while it was loading ({loss}); "
+                    "results so far are kept"
+                ) from None
         assert self._loaded is not None
         return self._loaded
 
