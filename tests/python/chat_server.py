@@ -60,9 +60,9 @@ class Got:
 Turn = Callable[["_Handler", Got], None]
 
 
-def completion(content: str | None) -> bytes:
+def completion(content: str | None, finish: Any = "stop") -> bytes:
     message = {"role": "assistant", "content": content}
-    choice = {"index": 0, "message": message, "finish_reason": "stop"}
+    choice = {"index": 0, "message": message, "finish_reason": finish}
     usage = {"prompt_tokens": 7, "completion_tokens": 5, "total_tokens": 12}
     head = {"id": "c", "object": "chat.completion", "created": 0, "model": "served"}
     return json.dumps({**head, "choices": [choice], "usage": usage}).encode()

@@ -39,6 +39,8 @@ class Entry(BaseModel):
     """Name of the model by the server's own account."""
     usage: Any = None
     """Tokens by the server's own account."""
+    finish_reason: str | None = None
+    """Why the model stopped, by the server's own account."""
     failure: str | None = None
 
 

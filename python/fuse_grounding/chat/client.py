@@ -22,6 +22,10 @@ from fuse_grounding.errors import InputError, UnusableError
 T = TypeVar("T", bound=BaseModel)
 Waiting = Callable[[], AbstractContextManager[object]]
 
+_CUT = "length"
+"""What `finish_reason` is where the model was not done, but had no more tokens."""
+_LONGEST_FAULT = 200
+
 
 @dataclass(frozen=True)
 class Answer(Generic[T]):
@@ -51,7 +55,7 @@ class _Words(BaseModel):
 
 class _Choice(BaseModel):
     message: _Words
-    finish_reason: str | None = None
+    finish_reason: Any = None
 
 
 class _Completion(BaseModel):
@@ -63,7 +67,7 @@ class _Completion(BaseModel):
 
 
 class Chat:
-    """Questions to one model at one endpoint; `sent` counts the HTTP requests that they took."""
+    """Questions to one model at one endpoint."""
 
     def __init__(self, config: ChatConfig, section: str):
         """`section` is where the settings stand. Raises InputError where no endpoint is named, and where
@@ -82,11 +86,6 @@ class Chat:
         # Offline, neither urllib3 nor a key is wanted.
         self._endpoint = None if config.offline else Endpoint(config, section)
         self._refuses_schema = config.constraint == "prompt"
-
-    @property
-    def sent(self) -> int:
-        """HTTP requests so far."""
-        return 0 if self._endpoint is None else self._endpoint.sent
 
     def ask(self, messages: Sequence[Message], schema: type[T], waiting: Waiting = nullcontext) -> Answer[T]:
         """The reply to `messages`, held to `schema`; the endpoint is waited for within `waiting`.
@@ -120,7 +119,8 @@ class Chat:
         try:
             value = schema.model_validate_json(_unfenced(entry.text), strict=True)
         except ValidationError as error:
-            return Answer(key, entry.text, entry.constraint, None, _fault(error))
+            cut = "cut off at the limit of tokens (`max_tokens`): " if entry.finish_reason == _CUT else ""
+            return Answer(key, entry.text, entry.constraint, None, (cut + _fault(error))[:_LONGEST_FAULT])
         return Answer(key, entry.text, entry.constraint, value)
 
     def _fetch(self, key: str, request: dict[str, Any], question: _Question, waiting: Waiting) -> Entry:
@@ -131,12 +131,14 @@ class Chat:
             entry = Entry(request=request, failure=str(error))
             self._cache.write(key, entry)
             return entry
+        stopped = completion.choices[0].finish_reason
         entry = Entry(
             request=request,
             text=text,
             constraint="prompt" if self._refuses_schema else "json_schema",
             model=completion.model if isinstance(completion.model, str) else None,
             usage=completion.usage,
+            finish_reason=stopped if isinstance(stopped, str) else None,
         )
         self._cache.write(key, entry)
         return entry
@@ -215,4 +217,4 @@ def _fault(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
     message = first["msg"]
-    return (f"`{where}`: {message}" if where else message)[:200]
+    return (f"`{where}`: {message}" if where else message)[:_LONGEST_FAULT]

@@ -41,7 +41,7 @@ class _Again(Exception):
 
 
 class Endpoint:
-    """POSTs JSON to `base_url`/chat/completions. `sent` counts requests, repeated ones too."""
+    """POSTs JSON to `base_url`/chat/completions."""
 
     def __init__(self, config: ChatConfig, section: str):
         """`section` names the settings in messages. Raises UnusableError without urllib3 or key."""
@@ -51,7 +51,6 @@ class Endpoint:
         self._pool = self._open_pool()
         self._key()
         self._reached = False
-        self.sent = 0
 
     def post(self, body: bytes) -> bytes:
         """The body of the reply with status 200, at most `max_reply_bytes`.
@@ -87,7 +86,6 @@ class Endpoint:
         errors = self._urllib3.exceptions
         left = max(0.01, min(self._config.timeout_s, deadline - time.monotonic()))
         stop = time.monotonic() + left
-        self.sent += 1
         try:
             response = self._pool.urlopen(
                 "POST",
