@@ -187,7 +187,9 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
         ):
             open_store(folder)
     assert ((folder / HEADER).read_text(), (folder / RESULTS).read_text()) == before
-    for text in ('{"identity": 3}', '{"identity": {"code": 1}}', "[]", "{"):
+    version = identity.IDENTITY_VERSION
+    headless = f'{{"identity": {{"identity_version": {version}, "methods": {{}}}}}}'
+    for text in ('{"identity": 3}', '{"identity": {"code": 1}}', headless, "[]", "{"):
         whole = text.replace("{", '{"schema_version": 3, "provenance": {}, ', 1) if len(text) > 2 else text
         (folder / HEADER).write_text(whole)
         with pytest.raises(InputError, match=r"missing or broken|describes its runs otherwise"):

@@ -25,12 +25,16 @@ Value = bool | int | float | None
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of results: its name in a row, how people call it, its unit, and which way is better."""
+    """A column of results: its name in a row, how people call it, its unit, and which way is better.
+
+    An `optional` one may be None in an episode that ran through; docs/metrics.md says when.
+    """
 
     name: str
     title: str
     unit: str
     better: Literal["higher", "lower", "neither"]
+    optional: bool = False
 
 
 METRICS = (
@@ -41,12 +45,14 @@ METRICS = (
     Metric("total_steps", "Total steps", "actions and seed motions", "lower"),
     Metric("target_pixel_ratio", "Target pixel ratio", "share", "higher"),
     Metric("target_pixel_ratio_90", "Target pixel ratio (90)", "share", "higher"),
-    Metric("observed_pixel_ratio_90", "Observed pixel ratio, 90th percentile", "share", "higher"),
+    Metric(
+        "observed_pixel_ratio_90", "Observed pixel ratio, 90th percentile", "share", "higher", optional=True
+    ),
     Metric("center_score", "Center", "share", "higher"),
     Metric("distance_score", "Distance", "share", "higher"),
-    Metric("final_score", "Final segmenter score", "score", "higher"),
+    Metric("final_score", "Final segmenter score", "score", "higher", optional=True),
     Metric("best_target_score", "Best target score", "score", "higher"),
-    Metric("position_error_m", "Position error", "m", "lower"),
+    Metric("position_error_m", "Position error", "m", "lower", optional=True),
     Metric("runtime_seconds", "Runtime", "s", "lower"),
 )
 """Every metric of a row, `success` and `iou` first: these two count a failed episode as 0."""

@@ -13,8 +13,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from fuse_grounding.benchmark.metrics import METRICS
 from fuse_grounding.config_text import explain
 
-_MAY_BE_NONE = ("observed_pixel_ratio_90", "position_error_m", "final_score")
-"""Metrics that an episode which ran through may lack; docs/metrics.md says when."""
 _SHOWN = 200
 
 
@@ -60,7 +58,7 @@ class _Measured(_Line):
 
 
 _metrics: dict[str, Any] = {
-    metric.name: (float | None if metric.name in _MAY_BE_NONE else float, ...)
+    metric.name: (float | None if metric.optional else float, ...)
     for metric in METRICS
     if metric.name != "success"
 }

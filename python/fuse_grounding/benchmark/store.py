@@ -261,8 +261,10 @@ def _read_header(folder: Path) -> dict[str, Any]:
     path = folder / HEADER
     try:
         header = json.loads(path.read_text(encoding="utf-8"))
-        version, _, _ = header["schema_version"], header["identity"], header["provenance"]
-    except (OSError, ValueError, KeyError, TypeError):
+        version, _, identity = header["schema_version"], header["provenance"], header["identity"]
+        if identity.get("identity_version") == IDENTITY_VERSION:
+            dict(identity["methods"]), dict(identity["episodes"]), dict(identity["config"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{path} is missing or broken; the results beside it cannot be used, choose another folder"
         ) from None
