@@ -367,6 +367,19 @@ def test_searches_that_end_well_and_in_errors_are_told_apart(tmp_path: Path, usu
     assert before["lost"].value == 0  # of these rows the last view is always the best
 
 
+def test_where_the_camera_went_is_counted(tmp_path: Path):
+    path = [(34, 15.0), (1, 30.0), (1, 45.0), (1, 45.0)]
+    keep = dict(branch="x", entropy=None, action=7, best_iou=0.0, target_pixel_ratio=0.1)
+    trace = [{"node": node, "pitch_deg": pitch, **keep} for node, pitch in path]
+    results = write_folder(tmp_path / "b", ["explicit"]) / RESULTS
+    rows = [{**json.loads(text), "trace": trace} for text in results.read_text().splitlines()]
+    results.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    found = line(table(report_of(tmp_path / "b"), "dev_main_travel"), "Explicit Exploration")
+    assert (found["episodes"].value, found["views"].value, found["distinct"].value) == (10, 4, 3)
+    assert found["around"].value == 30  # over the ring's seam
+    assert [found[f"pitch_{p}"].value for p in (15, 30, 45)] == pytest.approx([0, 1 / 3, 2 / 3])
+
+
 # -- plots -------------------------------------------------------------------------------------------
 
 

@@ -19,6 +19,7 @@ from fuse_grounding.benchmark.report import (
     reliability,
     summary,
     timing,
+    travel,
 )
 from fuse_grounding.benchmark.report.episodes import natures
 from fuse_grounding.benchmark.report.load import MAIN, Part, Results
@@ -94,6 +95,7 @@ def _main(part: Part, options: Options, over: str) -> list[Section]:
                 endings.table(part),
                 breakdown.visibility(part, known, why_not),
                 *breakdown.tables(part, known),
+                *filter(None, [travel.table(part)]),
             ],
         ),
         Section(f"reliability-{part.set_name}", "Reliability" + over, reliability.figures(part)),
