@@ -53,6 +53,10 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     assert by_name["planner_plain"].settings == by_name["revisit_left_out"].settings == Config()
     assert by_name["revisit_allowed"].settings.search.revisit
     assert not by_name["reach_not_weighed"].settings.evidence.within_reach
+    many = suites.plans("paper", tmp_path, Config(), EPISODES * 60)
+    short = {plan.notes["group"] for plan in many if len(plan.episodes) == 50}
+    assert short == {"planner", "revisit", "reach", "eta", "weights"}  # what no table of the paper has
+    assert {len(plan.episodes) for plan in many if plan.notes["group"] not in short} == {60}
     for plan in found:
         assert set(plan.optional) <= set(plan.methods)
     with pytest.raises(InputError, match="unknown suite `pape`; did you mean `paper`"):

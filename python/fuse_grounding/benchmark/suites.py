@@ -22,22 +22,28 @@ from fuse_grounding.registry import unknown
 
 @dataclass(frozen=True)
 class Part:
-    """A folder's methods and what they change of the settings; `optional` ones need what does not ship."""
+    """A folder's methods and what they change of the settings; `optional` ones need what does not ship.
+
+    `most` is how many episodes it has, the first ones; None: all.
+    """
 
     name: str
     methods: tuple[str, ...]
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     optional: tuple[str, ...] = ()
+    most: int | None = None
 
 
 _LADDER = ("static", "canonical", "random", "sweep", "semantic_only", "geometry_only", "explicit")
 _FUSE = ("fuse",)
 _ITS_OWN = {"weights": None, "threshold": None}
 """What is configured of the segmenter is for another one."""
+_HALF = 50
+"""Episodes of what no table of the paper has: choices of ours, and settings that it has one value of."""
 
 
-def _fuse(name: str, **settings: Mapping[str, Any]) -> Part:
-    return Part(name, _FUSE, settings)
+def _fuse(name: str, most: int | None = None, **settings: Mapping[str, Any]) -> Part:
+    return Part(name, _FUSE, settings, most=most)
 
 
 def _if_there(name: str, **settings: Mapping[str, Any]) -> Part:
@@ -65,25 +71,39 @@ _PARTS: dict[str, tuple[Part, ...]] = {
         _if_there("evidence_clip_patches", segmenter={"name": "clip_patches", **_ITS_OWN}),
     ),
     "planner": tuple(
-        Part(f"planner_{kind}", ("amortized", "fuse"), {"planner": {"name": kind, "weights": None}})
+        Part(
+            f"planner_{kind}",
+            ("amortized", "fuse"),
+            {"planner": {"name": kind, "weights": None}},
+            most=_HALF,
+        )
         for kind in KINDS
     ),
     "revisit": tuple(
-        Part(f"revisit_{word}", ("explicit", "amortized", "fuse"), {"search": {"revisit": word == "allowed"}})
+        Part(
+            f"revisit_{word}",
+            ("explicit", "amortized", "fuse"),
+            {"search": {"revisit": word == "allowed"}},
+            most=_HALF,
+        )
         for word in ("left_out", "allowed")
     ),
     "reach": tuple(
         Part(
-            f"reach_{word}", ("geometry_only", "explicit"), {"evidence": {"within_reach": word == "weighed"}}
+            f"reach_{word}",
+            ("geometry_only", "explicit"),
+            {"evidence": {"within_reach": word == "weighed"}},
+            most=_HALF,
         )
         for word in ("weighed", "not_weighed")
     ),
-    "eta": tuple(_fuse(f"eta_{eta}", gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
+    "eta": tuple(_fuse(f"eta_{eta}", most=_HALF, gate={"eta": eta}) for eta in (0.6, 0.7, 0.8, 0.9)),
     "weights": tuple(
         Part(
             f"weights_{s:g}_{g:g}",
             ("explicit",),  # which uses them at every decision; of 1, 0 and 0, 1 there are methods
             {"evidence": {"semantic_weight": s, "geometric_weight": g}},
+            most=_HALF,
         )
         for s, g in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0))
     ),
@@ -127,7 +147,7 @@ def plans(
         Plan(
             out=out / part.name,
             settings=settings.with_(**part.settings),
-            episodes=episodes,
+            episodes=episodes[: part.most],
             methods=part.methods,
             optional=part.optional,
             notes={"suite": suite, "part": part.name, "group": group},
