@@ -78,7 +78,7 @@ class Plot:
         self.width, self.height = width, height
         self._box = (left, 12, width - 14, height - 44)
         self._over: list[str] = []
-        self._marks: list[_Box] = []
+        self._marks: list[_Box] = []  # and names: what must not be hidden
         self._taken: list[_Box] = []
 
     def at(self, x: float, y: float) -> tuple[float, float]:
@@ -172,7 +172,7 @@ class Plot:
             if best is None or cost < best[0]:
                 best, chosen = (cost, _text(px + dx, py + dy, words, anchor, "name")), box
         assert best is not None
-        self._taken.append(chosen)
+        self._marks.append(chosen)
         self._over.append(best[1])
 
     def svg(self, title: str) -> str:
@@ -217,6 +217,7 @@ _AROUND = (
     (-8, -22, "end"),
     (8, 30, "start"),
     (-8, 30, "end"),
+    *((0, dy, "middle") for dy in (-24, 32, -38, 46, -52, 60)),
 )
 
 
