@@ -99,8 +99,8 @@ results: install
 	@mkdir -p $(RESULTS)
 	@if [ -n "$(ROWS)" ]; then tar -xJf $(ROWS) -C $(RESULTS) --skip-old-files; fi
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
-	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --methods static,random,sweep,explicit,amortized,fuse --timing \
-		--gallery 2 --resume --out $(RESULTS)/timing
+	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --methods \
+		static,random,sweep,explicit,amortized,fuse --timing --gallery 2 --resume --out $(RESULTS)/timing
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes large --limit $(LARGE) --methods \
 		static,random,sweep,explicit,amortized,fuse --jobs 2 --resume --out $(RESULTS)/large
 	$(BIN)/fuse report $(RESULTS)/paper $(RESULTS)/timing $(RESULTS)/large --out docs/results/report

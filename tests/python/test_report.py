@@ -355,6 +355,10 @@ def test_failures_are_told_apart_by_what_they_returned(tmp_path: Path, changes: 
     assert found[kind].value == 1
     held = [make_row("fuse", e, i)["success"] for i, e in enumerate(DEV)]  # traces still say what was seen
     assert found["lost"].value == pytest.approx(np.mean(held))
+    assert found["unscored"].value == 0
+    assert found["views_won"].value is None
+    seen = [make_row("fuse", e, i)["observations"] for i, e in enumerate(DEV)]
+    assert found["views_lost"].value == pytest.approx(np.mean(seen))
 
 
 def test_searches_that_end_well_and_in_errors_are_told_apart(tmp_path: Path, usual: Report):
@@ -369,7 +373,7 @@ def test_searches_that_end_well_and_in_errors_are_told_apart(tmp_path: Path, usu
 
 def test_where_the_camera_went_is_counted(tmp_path: Path):
     path = [(34, 15.0), (1, 30.0), (1, 45.0), (1, 45.0)]
-    keep = dict(branch="x", entropy=None, action=7, best_iou=0.0, target_pixel_ratio=0.1)
+    keep = dict(branch="x", entropy=None, action=7, best_iou=0.0, best_score=None, target_pixel_ratio=0.1)
     trace = [{"node": node, "pitch_deg": pitch, **keep} for node, pitch in path]
     results = write_folder(tmp_path / "b", ["explicit"]) / RESULTS
     rows = [{**json.loads(text), "trace": trace} for text in results.read_text().splitlines()]

@@ -43,6 +43,7 @@ class _Step(BaseModel):
     entropy: float | None
     action: int | None
     best_iou: float
+    best_score: float | None
     target_pixel_ratio: float
 
 
