@@ -53,6 +53,10 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     assert by_name["planner_plain"].settings == by_name["revisit_left_out"].settings == Config()
     assert by_name["revisit_allowed"].settings.search.revisit
     assert not by_name["reach_not_weighed"].settings.evidence.within_reach
+    several = suites.plans("eta, main,eta", tmp_path, Config(), EPISODES)
+    assert [p.out for p in several] == [
+        p.out for g in ("eta", "main") for p in found if p.notes["group"] == g
+    ]
     many = suites.plans("paper", tmp_path, Config(), EPISODES * 60)
     short = {plan.notes["group"] for plan in many if len(plan.episodes) == 50}
     assert short == {"planner", "revisit", "reach", "eta", "weights"}  # what no table of the paper has
@@ -60,7 +64,7 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     for plan in found:
         assert set(plan.optional) <= set(plan.methods)
     with pytest.raises(InputError, match="unknown suite `pape`; did you mean `paper`"):
-        suites.plans("pape", tmp_path, Config(), EPISODES)
+        suites.plans("main,pape", tmp_path, Config(), EPISODES)
     (tmp_path / "note").write_text("x")
     with pytest.raises(InputError, match="exists and is not empty"):
         suites.plans("main", tmp_path, Config(), EPISODES)

@@ -134,15 +134,18 @@ def plans(
     gallery: int = 0,
     resume: bool = False,
 ) -> list[Plan]:
-    """A plan for every part, in `out`/PART.
+    """A plan for every part, in `out`/PART; `suite` is a name, or several with commas between.
 
     `settings` are changed as each part says. Pictures are kept of the group `main` alone. Raises InputError
     for an unknown suite, and for a folder in use without `resume`.
     """
-    if suite not in SUITES:
-        raise InputError(unknown("suite", suite, list(SUITES)))
+    groups: dict[str, None] = {}  # a set in order
+    for name in map(str.strip, suite.split(",")):
+        if name not in SUITES:
+            raise InputError(unknown("suite", name, list(SUITES)))
+        groups.update(dict.fromkeys(SUITES[name]))
     store.check(out, resume)
-    grouped = [(group, part) for group in SUITES[suite] for part in _PARTS[group]]
+    grouped = [(group, part) for group in groups for part in _PARTS[group]]
     return [
         Plan(
             out=out / part.name,

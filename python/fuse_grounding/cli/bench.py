@@ -37,7 +37,10 @@ def command(
         ),
     ] = None,
     suite: Annotated[
-        str | None, typer.Option(help=f"Parts by name instead of --methods: {', '.join(suites.SUITES)}.")
+        str | None,
+        typer.Option(
+            help=f"Parts instead of --methods, separated by commas: {', '.join(suites.SUITES)}.",
+        ),
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N episodes.")] = None,
     jobs: Annotated[

@@ -60,7 +60,7 @@ def _folders(results: Results) -> Table:
 
 
 def _provenance(folders: Sequence[Folder]) -> list[tuple[str, str]]:
-    """Each fact once; where folders differ, every value with its folders."""
+    """Each fact once; where folders differ, every value with its folders (many are counted)."""
     values: dict[str, dict[str, list[str]]] = {}
     for folder in folders:
         for key, value in _facts(folder).items():
@@ -68,8 +68,15 @@ def _provenance(folders: Sequence[Folder]) -> list[tuple[str, str]]:
     pairs = []
     for key in labels.ordered(values, _ORDER):
         found = values[key]
-        everywhere = len(found) == 1 and len(next(iter(found.values()))) == len(folders)
-        words = [v if everywhere else f"{v} ({', '.join(where)})" for v, where in found.items()]
+        commonest = max(found, key=lambda value: len(found[value]))
+        words = []
+        for value, where in found.items():
+            if len(where) == len(folders):
+                words.append(value)
+            elif value == commonest and len(where) > 3:
+                words.append(f"{value} ({len(where)} of {len(folders)} folders)")
+            else:
+                words.append(f"{value} ({', '.join(where)})")
         pairs.append((key, "; ".join(words)))
     return pairs
 
