@@ -40,6 +40,17 @@ def whole(name: str, value: Any, low: int = 0, high: int = LARGEST) -> int:
     return int(value)
 
 
+def finite(name: str, value: Any) -> float:
+    """A finite number of Python or NumPy; a boolean is none. Raises InputError."""
+    if (
+        isinstance(value, (bool, np.bool_))
+        or not isinstance(value, (int, float, np.integer, np.floating))
+        or not np.isfinite(value)
+    ):
+        raise InputError(f"{name} must be a finite number, found {value!r}")
+    return float(value)
+
+
 def instance_of(name: str, value: Any, kind: type) -> None:
     """Raises InputError unless `value` is a `kind`."""
     if not isinstance(value, kind):

@@ -189,7 +189,8 @@ def test_a_folder_of_another_benchmark_is_refused(tmp_path: Path, monkeypatch: p
     assert ((folder / HEADER).read_text(), (folder / RESULTS).read_text()) == before
     version = identity.IDENTITY_VERSION
     headless = f'{{"identity": {{"identity_version": {version}, "methods": {{}}}}}}'
-    for text in ('{"identity": 3}', '{"identity": {"code": 1}}', headless, "[]", "{"):
+    three = headless.replace("{}", '{"static": 3}, "episodes": {}, "config": {}')
+    for text in ('{"identity": 3}', '{"identity": {"code": 1}}', headless, three, "[]", "{"):
         whole = text.replace("{", '{"schema_version": 3, "provenance": {}, ', 1) if len(text) > 2 else text
         (folder / HEADER).write_text(whole)
         with pytest.raises(InputError, match=r"missing or broken|describes its runs otherwise"):

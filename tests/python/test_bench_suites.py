@@ -53,6 +53,11 @@ def test_the_paper_is_all_groups_with_a_folder_of_its_own_for_each_part(tmp_path
     assert by_name["planner_plain"].settings == by_name["revisit_left_out"].settings == Config()
     assert by_name["revisit_allowed"].settings.search.revisit
     assert not by_name["reach_not_weighed"].settings.evidence.within_reach
+    assert [suites.group_of(name) for name in ("stopping_k3", "evidence_clip_patches", "b")] == [
+        "stopping",
+        "evidence",
+        None,
+    ]
     several = suites.plans("eta, main,eta", tmp_path, Config(), EPISODES)
     assert [p.out for p in several] == [
         p.out for g in ("eta", "main") for p in found if p.notes["group"] == g

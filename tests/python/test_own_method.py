@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from agent_doubles import Kit, World
 
@@ -130,12 +132,25 @@ def searching(policy: Any) -> Any:
         (None, "policy `Returning` returned NoneType, expected a Decision"),
         (Decision(15, "x"), "policy `Returning`: action must be a whole number from 0 to 14, found 15"),
         (Decision(True, "x"), "policy `Returning`: action must be a whole number from 0 to 14, found True"),
+        (
+            Decision(9, "x", entropy=math.nan),
+            "policy `Returning`: entropy must be a finite number, found nan",
+        ),
+        (Decision(9, "x", np.zeros(9)), "policy `Returning`: values must be (15,), found (9,)"),
+        (Decision(9, None), "policy `Returning`: branch must be a str, found NoneType"),  # type: ignore[arg-type]
     ],
 )
 def test_what_a_policy_returns_is_a_decision(decision: Any, sentence: str):
     with pytest.raises(FuseError) as caught:
         searching(Returning(decision))
     assert str(caught.value) == sentence
+
+
+def test_numbers_of_numpy_are_as_good_and_become_the_records():
+    decision = Decision(np.int64(9), "x", entropy=np.float32(0.5))  # type: ignore[arg-type]
+    step = searching(Returning(decision)).record.steps[0]
+    assert (step.action, step.entropy) == (9, 0.5)
+    json.dumps([step.action, step.entropy])
 
 
 def test_a_start_that_is_nowhere_is_not_taken_for_another():

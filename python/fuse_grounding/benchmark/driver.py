@@ -100,11 +100,13 @@ def run_benchmarks(plans: Sequence[Plan], means: Means, listener: Listener) -> l
     for plan in plans:
         store.check(plan.out, plan.resume)
     with means.engine([_setup(plan, means) for plan in plans]) as engine, ExitStack() as folders:
-        parts = []
-        for number, (plan, loaded) in enumerate(zip(plans, engine.load(), strict=True)):
-            parts.append(_Part(number, plan, loaded))
-            if loaded.provenances:
-                parts[-1].rows = folders.enter_context(_opened(plan, loaded, means, listener))
+        parts = [
+            _Part(number, plan, loaded)
+            for number, (plan, loaded) in enumerate(zip(plans, engine.load(), strict=True))
+        ]
+        for part in parts:
+            if part.loaded.provenances:
+                part.rows = folders.enter_context(_opened(part, _left_out(part, parts), means, listener))
         _run(parts, engine, listener)
         return [Outcome(part.outcome(), part.loaded.refused) for part in parts]
 
@@ -150,9 +152,26 @@ def _setup(plan: Plan, means: Means) -> Setup:
     )
 
 
-def _opened(plan: Plan, loaded: Loaded, means: Means, listener: Listener) -> ResultStore:
+def _left_out(part: _Part, parts: Sequence[_Part]) -> dict[str, str]:
+    """What a part's folder lists as not run, with the reason: methods of it, and whole parts of its group.
+
+    A part of which nothing could be loaded has no folder to say so itself, unless one was made by hand.
+    """
+    group = part.plan.notes.get("group")
+    beside = {
+        other.plan.notes["part"]: next(iter(other.loaded.refused.values()))
+        for other in parts
+        if group is not None and other.plan.notes.get("group") == group
+        if not other.loaded.provenances and not store.has_results(other.plan.out)
+    }
+    return {**part.loaded.refused, **beside}
+
+
+def _opened(part: _Part, left_out: Mapping[str, str], means: Means, listener: Listener) -> ResultStore:
+    plan, loaded = part.plan, part.loaded
     decided = identity(plan.settings, plan.episodes, loaded.provenances)
-    notes = {**plan.notes, "not_run": [*plan.notes.get("not_run", ()), *_entries(loaded.refused)]}
+    not_run = [{"name": name, "reason": reason} for name, reason in left_out.items()]
+    notes = {**plan.notes, "not_run": not_run}
     rows = ResultStore(plan.out, decided, _provenance(loaded, means), plan.resume, notes)
     for sentence in rows.announcements:
         listener.note(sentence)
@@ -166,6 +185,8 @@ def _run(parts: Sequence[_Part], engine: Engine, listener: Listener) -> None:
         for decided, task in part.tasks():
             assert part.rows is not None
             asked.setdefault(decided, []).append((part.rows, task))
+    for places in asked.values():  # a folder that keeps pictures runs what it shares with others
+        places.sort(key=lambda place: not parts[place[1].part].plan.gallery)
     left = {decided: places for decided, places in asked.items() if not _there(places)}
     listener.opened(len(asked) - len(left), len(asked))
     if doubles := sum(len(places) - 1 for places in left.values()):
@@ -195,10 +216,6 @@ def _there(places: Sequence[tuple[ResultStore, Task]]) -> bool:
         if row is None:
             rows.adopt(done)
     return True
-
-
-def _entries(refused: Mapping[str, str]) -> list[dict[str, str]]:
-    return [{"name": name, "reason": reason} for name, reason in refused.items()]
 
 
 def _provenance(loaded: Loaded, means: Means) -> dict[str, Any]:

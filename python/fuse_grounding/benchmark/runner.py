@@ -6,6 +6,7 @@ and `iou` count as failure.
 
 from __future__ import annotations
 
+import json
 import time
 import traceback
 from collections.abc import Sequence
@@ -54,12 +55,13 @@ def run_one(
         judged = trace.judge(grounded, environment, agent.segmenter)
         assert grounded.record.result is not None
         grounded.record.result.metrics = judged.metrics
+        told = {**judged.metrics, **_outcome(grounded), "calls": calls.counts, "trace": judged.step_rows()}
+        json.dumps(told, allow_nan=False)  # what a method of a user's put in is no reason to stop the others
     except (KeyboardInterrupt, UnusableError):
         raise
     except BaseException as error:  # a panic of native code is no Exception
         seconds = round(time.perf_counter() - began, 6)
         return {**row, **failure(error), "wall_seconds": seconds}
-    told = {**judged.metrics, **_outcome(grounded), "calls": calls.counts, "trace": judged.step_rows()}
     return {**row, "status": "ok", **told}
 
 

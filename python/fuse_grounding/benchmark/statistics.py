@@ -190,7 +190,7 @@ def wilson(successes: int, trials: int, *, confidence: float = CONFIDENCE) -> In
 def cohens_dz(differences: ArrayLike) -> float | None:
     """Mean over standard deviation (n - 1) of paired differences; None for fewer than two or no spread."""
     d = _finite(differences, "differences")
-    if len(d) < 2 or np.ptp(d) == 0:
+    if len(d) < 2 or np.ptp(d) <= 1e-12 * np.max(np.abs(d)):  # what rounding leaves is none
         return None
     return float(np.mean(d) / np.std(d, ddof=1))
 

@@ -55,19 +55,6 @@ def load(folder: Path) -> tuple[dict[str, Any], list[Row]]:
     return header, _in_order(rows.values())
 
 
-def list_not_run(folder: Path, entries: Iterable[Mapping[str, str]]) -> None:
-    """Adds `{name, reason}` of what could not be run to a folder's header, once each name.
-
-    Raises InputError for a folder that is none, FuseError when the disk refuses.
-    """
-    header = _read_header(folder)
-    listed = {entry["name"]: dict(entry) for entry in (*header.get("not_run", ()), *entries)}
-    try:
-        write_atomically(folder / HEADER, _header_text({**header, "not_run": list(listed.values())}))
-    except OSError as error:
-        raise FuseError(f"{folder / HEADER} cannot be written: {error.strerror}") from None
-
-
 class ResultStore:
     """Rows of one benchmark, keyed by method and episode. A context manager that holds the folder."""
 
@@ -263,7 +250,9 @@ def _read_header(folder: Path) -> dict[str, Any]:
         header = json.loads(path.read_text(encoding="utf-8"))
         version, _, identity = header["schema_version"], header["provenance"], header["identity"]
         if identity.get("identity_version") == IDENTITY_VERSION:
-            dict(identity["methods"]), dict(identity["episodes"]), dict(identity["config"])
+            dict(identity["episodes"]), dict(identity["config"]), list(header.get("earlier", []))
+            for method in dict(identity["methods"]).values():
+                dict(method)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{path} is missing or broken; the results beside it cannot be used, choose another folder"

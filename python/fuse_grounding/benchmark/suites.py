@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.benchmark import store
-from fuse_grounding.benchmark.driver import Listener, Means, Outcome, Plan, run_benchmarks
+from fuse_grounding.benchmark.driver import Plan
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode
 from fuse_grounding.errors import InputError
@@ -161,21 +161,6 @@ def plans(
     ]
 
 
-def run(parts: Sequence[Plan], means: Means, listener: Listener) -> list[Outcome]:
-    """Runs plans together; see `run_benchmarks`.
-
-    A part of which nothing could be loaded leaves no folder: it is listed in those of its group. One that has
-    results nevertheless, made by hand, is left alone.
-    """
-    outcomes = run_benchmarks(parts, means, listener)
-    for group in dict.fromkeys(plan.notes["group"] for plan in parts):
-        mine = [(plan, o) for plan, o in zip(parts, outcomes, strict=True) if plan.notes["group"] == group]
-        not_run = [
-            {"name": plan.notes["part"], "reason": next(iter(outcome.refused.values()))}
-            for plan, outcome in mine
-            if not outcome.rows and not store.has_results(plan.out)
-        ]
-        for plan, _ in mine:
-            if not_run and store.has_results(plan.out):
-                store.list_not_run(plan.out, not_run)
-    return outcomes
+def group_of(part: str) -> str | None:
+    """The group that a part of this name is compared within; None for a name of no part."""
+    return next((group for group, parts in _PARTS.items() if part in (p.name for p in parts)), None)

@@ -22,9 +22,8 @@ def execute(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGTERM, _end)
         status = attempt(arguments)
     except KeyboardInterrupt:
-        status = 130
-    if status == 130:
         print("fuse: interrupted; what was finished is kept", file=sys.stderr)
+        status = 130
     return 143 if status == 130 and _ended else status
 
 

@@ -16,7 +16,7 @@ from fuse_grounding.benchmark.methods import METHODS
 from fuse_grounding.benchmark.processes import Processes
 from fuse_grounding.benchmark.runner import Row
 from fuse_grounding.cli.bench_console import Teller, latency_table, summary, summary_table
-from fuse_grounding.cli.console import print_json
+from fuse_grounding.cli.console import Interrupted, print_json
 from fuse_grounding.cli.run import OpenVocabulary, Segmenter, Weights, configure
 from fuse_grounding.config import Config
 from fuse_grounding.environment import Episode, load_episodes
@@ -98,10 +98,9 @@ def command(
             _only_alone(part.out)
     teller = Teller(out, quiet=as_json)
     try:
-        ran = run_benchmarks(parts, means, teller) if suite is None else suites.run(parts, means, teller)
+        ran = run_benchmarks(parts, means, teller)
     except KeyboardInterrupt:
-        teller.interrupted()
-        raise typer.Exit(130) from None
+        raise Interrupted(teller.interrupted()) from None
     finally:
         teller.close()
     told = {p.out.name: _told(p, outcome, timing, teller) for p, outcome in zip(parts, ran, strict=True)}

@@ -72,14 +72,12 @@ class Teller:
             self._progress.stop()
             self._progress = None
 
-    def interrupted(self) -> None:
+    def interrupted(self) -> str:
         """What is there, and how to go on."""
-        self.close()
         if not self._total:
-            self._err.print("interrupted before the first episode; nothing was run")
-            return
+            return "interrupted before the first episode; nothing was run"
         errors = f", {self._errors} of them errors" if self._errors else ""
-        self._err.print(
+        return (
             f"interrupted: {self._done} of {self._total} results are in {self._folder}{errors}; "
             "the same command with --resume goes on"
         )

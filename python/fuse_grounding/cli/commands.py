@@ -10,6 +10,7 @@ import typer
 
 from fuse_grounding._core import __version__
 from fuse_grounding.arguments import check_simd_level
+from fuse_grounding.cli.console import Interrupted
 from fuse_grounding.errors import FuseError, InputError
 
 app = typer.Typer(
@@ -72,15 +73,20 @@ def attempt(arguments: Sequence[str] | None) -> int:
     try:
         check_simd_level()
         status = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        if status == 130:  # what Typer makes of an interrupt
+            raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
+    except Interrupted as told:
+        typer.echo(f"fuse: {told}", err=True)
+        return 130
     except InputError as error:
         typer.echo(f"fuse: {error}", err=True)
         return 2
     except FuseError as error:
         typer.echo(f"fuse: {error}", err=True)
         return 1
-    except (KeyboardInterrupt, typer.Abort):
-        return 130
+    except typer.Abort:
+        raise KeyboardInterrupt from None
     except typer.Exit as exit_:
         return exit_.exit_code
     except _UsageError as error:

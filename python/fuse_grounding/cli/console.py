@@ -23,6 +23,10 @@ from fuse_grounding.grounding import Grounded
 from fuse_grounding.record import ResultEntry, StepEntry
 
 
+class Interrupted(Exception):
+    """An interrupt of a command that can say better than `execute` what is kept."""
+
+
 def print_json(value: Any) -> None:
     """JSON on standard output, nothing else."""
     print(json.dumps(value, indent=1, allow_nan=False))

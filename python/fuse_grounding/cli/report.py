@@ -21,7 +21,8 @@ def command(
         Path | None, typer.Option(help="Where to write; default: `report` in the first one.")
     ] = None,
     partial: Annotated[
-        bool, typer.Option("--partial", help="Report on unfinished runs, over the episodes that all share.")
+        bool,
+        typer.Option("--partial", help="Report on unfinished runs, each line over what it has."),
     ] = False,
     reference: Annotated[
         str | None, typer.Option(help="Method that the main table's others are compared with; default: fuse.")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fuse_grounding.arguments import whole
+from fuse_grounding.arguments import finite, instance_of, whole
 from fuse_grounding.errors import FuseError, InputError
 from fuse_grounding.knowledge.protocol import Candidate, Confidant
 from fuse_grounding.perception.protocol import Detection
@@ -126,13 +126,23 @@ def check_policy(policy: Any, whose: str = "") -> Policy:
 
 
 def check_decision(policy: Policy, decision: Any) -> Decision:
-    """What `policy` returned. Raises FuseError for what is no Decision, InputError for what is no action."""
+    """What `policy` returned, its numbers as Python's: a record of them is JSON.
+
+    Raises FuseError for what is no Decision, InputError for an action, entropy or values that are none.
+    """
     who = f"policy `{type(policy).__name__}`"
     if not isinstance(decision, Decision):
         raise FuseError(f"{who} returned {type(decision).__name__}, expected a Decision")
-    if decision.action is not None:
-        whole(f"{who}: action", decision.action, 0, 14)
-    return decision
+    action, entropy, values = decision.action, decision.entropy, decision.values
+    if action is not None:
+        action = whole(f"{who}: action", action, 0, 14)
+    if entropy is not None:
+        entropy = finite(f"{who}: entropy", entropy)
+    if values is not None and np.shape(values) != (15,):
+        raise InputError(f"{who}: values must be (15,), found {np.shape(values)}")
+    for name in ("branch", "reason"):
+        instance_of(f"{who}: {name}", getattr(decision, name), str)
+    return replace(decision, action=action, entropy=entropy)
 
 
 @runtime_checkable

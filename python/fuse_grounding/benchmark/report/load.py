@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from fuse_grounding.benchmark import store
+from fuse_grounding.benchmark.identity import first_difference
 from fuse_grounding.benchmark.report import labels
 from fuse_grounding.benchmark.store import HEADER, RESULTS
+from fuse_grounding.benchmark.suites import group_of
+from fuse_grounding.config import Config
 from fuse_grounding.errors import InputError
 
 Row = Mapping[str, Any]
@@ -100,6 +103,11 @@ class Part:
         shared = set.intersection(*(set(a.rows) for a in self.arms)) if self.arms else set()
         return sorted(shared)
 
+    def default(self, arms: Sequence[Arm]) -> Arm:
+        """Of some arms of the part the one at the default settings, without one the first."""
+        usual = flat(Config().to_dict())
+        return next((a for a in arms if all(a.settings.get(k) == usual.get(k) for k in self.varied)), arms[0])
+
 
 @dataclass(frozen=True)
 class Results:
@@ -129,14 +137,16 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def load(folders: Sequence[Path], partial: bool = False) -> Results:
     """Reads benchmark folders, and those inside them.
 
-    Raises InputError for a folder without results, a broken or foreign file, one method under the same
-    settings with two results, and, unless `partial`, for episodes that some of what is compared lacks.
+    Raises InputError for a folder without results, a broken or foreign file, folders of different versions,
+    one method under the same settings with two results or with other weights, packages or devices, and,
+    unless `partial`, for episodes that some of what is compared lacks.
     """
     found = [_read(path, label) for path, label in _find(folders)]
     if not any(f.rows for f in found):
         raise InputError(
             f"{', '.join(str(f.path) for f in found)}: no results yet; expected lines in {RESULTS}"
         )
+    _of_one_version(found)
     found.sort(key=lambda f: (labels.place(f.part, labels.PARTS), *_set_place(f)))
     parts, incomplete = _parts(found), []
     for part in parts:
@@ -147,6 +157,17 @@ def load(folders: Sequence[Path], partial: bool = False) -> Results:
             "`fuse bench --resume`, or report on what there is with --partial"
         )
     return Results(found, [_without_empty(part) for part in parts], incomplete)
+
+
+def _of_one_version(folders: Sequence[Folder]) -> None:
+    """Raises InputError where the code, objects, scenes or knowledge of two folders differ."""
+    first = folders[0]
+    for key in ("identity_version", "results_version", "data"):
+        for other in folders[1:]:
+            where = first_difference(first.identity.get(key), other.identity.get(key), key)
+            if where is not None:
+                where = where.replace(" there ", f" in {first.path} ").replace(" here", f" in {other.path}")
+                raise InputError(f"{where}; results of two versions cannot be compared, report one of them")
 
 
 def _find(folders: Sequence[Path]) -> list[tuple[Path, str]]:
@@ -176,7 +197,8 @@ def _read(path: Path, label: str) -> Folder:
     try:
         what, whence = dict(header["identity"]), dict(header["provenance"])
         not_run = [(str(entry["name"]), str(entry["reason"])) for entry in header.get("not_run") or ()]
-        part = str(header.get("group") or header.get("part") or MAIN)
+        # A suite's part that was run by hand has its folder's name only.
+        part = str(header.get("group") or header.get("part") or group_of(path.resolve().name) or MAIN)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path / HEADER} is not a benchmark's header: {error!r}") from None
     return Folder(path, label, part, what, whence, not_run, rows)
@@ -215,6 +237,7 @@ def _part(name: str, set_: str, folders: Sequence[Folder]) -> Part:
         settings = json.dumps(folder.settings, sort_keys=True)
         for method in folder.methods:
             arm = arms.setdefault((method, settings), Arm(method, folder.settings))
+            _made_alike(arm, folder)
             arm.folders.append(folder)
         for row in folder.rows:
             _add(arms[row["method"], settings], row, folder)
@@ -222,9 +245,20 @@ def _part(name: str, set_: str, folders: Sequence[Folder]) -> Part:
         arm.settings = {**arm.settings, SOURCE: _source(arm)}
     varied = _varied([a.settings for a in arms.values()])
     _label(list(arms.values()), varied)
-    not_run = list(dict.fromkeys(entry for f in folders for entry in f.not_run))
+    run = {f.path.resolve().name for f in folders if f.rows} | {r["method"] for f in folders for r in f.rows}
+    not_run = list(dict.fromkeys(entry for f in folders for entry in f.not_run if entry[0] not in run))
     ordered = sorted(arms.values(), key=lambda a: labels.place(a.method))
     return Part(name, set_, ordered, not_run, varied)
+
+
+def _made_alike(arm: Arm, folder: Folder) -> None:
+    """Raises InputError where a folder has an arm's method with other weights, packages or devices."""
+    for other in arm.folders:
+        theirs, ours = (f.identity["methods"][arm.method] for f in (other, folder))
+        where = first_difference(theirs, ours, f"methods.{arm.method}")
+        if where is not None:
+            where = where.replace(" there ", f" in {other.path} ").replace(" here", f" in {folder.path}")
+            raise InputError(f"{where}; these are two methods, report one of them")
 
 
 def _without_empty(part: Part) -> Part:

@@ -21,6 +21,9 @@ _DIGEST = 12
 def blocks(results: Results) -> list[Block]:
     """What is missing, folders with the settings that differ, provenance."""
     found: list[Block] = [Text(f"Incomplete: {sentence}.", "warning") for sentence in results.incomplete]
+    if found:
+        words = "Lines of a table may be over different episodes; paired tables are over those that all have."
+        found.append(Text(words, "warning"))
     return [*found, _folders(results), Facts("Versions", _provenance(results.folders))]
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fuse_grounding.benchmark import comparison
 from fuse_grounding.benchmark.metrics import METRICS
 from fuse_grounding.benchmark.report import plots
-from fuse_grounding.benchmark.report.load import Arm, Part, flat
+from fuse_grounding.benchmark.report.load import Arm, Part
 from fuse_grounding.benchmark.report.model import Cell, Column, Row, Table
 from fuse_grounding.benchmark.report.summary import ARM, metric_column, rows
 from fuse_grounding.benchmark.statistics import Interval
-from fuse_grounding.config import Config
 
 _METRICS = (
     "iou",
@@ -43,14 +43,9 @@ def reference(part: Part, wanted: str | None = None) -> Arm:
     before others.
     """
     if wanted is not None:
-        return _default(part, [a for a in part.arms if wanted in (a.label, a.method)])
+        return part.default([a for a in part.arms if wanted in (a.label, a.method)])
     fuse = [a for a in part.arms if a.method == "fuse"]
-    return _default(part, fuse or list(reversed(part.arms)))
-
-
-def _default(part: Part, arms: Sequence[Arm]) -> Arm:
-    usual = flat(Config().to_dict())
-    return next((a for a in arms if all(a.settings.get(k) == usual.get(k) for k in part.varied)), arms[0])
+    return part.default(fuse or list(reversed(part.arms)))
 
 
 def tables(part: Part, wanted: str | None = None) -> list[Table]:
@@ -59,12 +54,21 @@ def tables(part: Part, wanted: str | None = None) -> list[Table]:
     if len(part.arms) < 2 or not shared:
         return []
     first = reference(part, wanted)
-    of_shared = [r for r in rows(part) if r["episode_id"] in shared]
+    of_shared = _times_of_a_kind([r for r in rows(part) if r["episode_id"] in shared], first)
     there = {k for r in of_shared for k in r}
     metrics = [m for m in _METRICS if m in there]
     found = comparison.compare(of_shared, first.label, metrics=metrics, by=ARM)
     names = {a.label: plots.name(a) for a in part.arms}
     return [_success(part, found, names), _continuous(part, found, names)]
+
+
+def _times_of_a_kind(found: Sequence[Mapping[str, Any]], first: Arm) -> list[dict[str, Any]]:
+    """Rows without the runtime that was measured otherwise (alone, beside others) than the reference's."""
+    beside = {e: bool(r.get("concurrent")) for e, r in first.rows.items()}
+    return [
+        {**r, "runtime_seconds": None} if bool(r.get("concurrent")) != beside[r["episode_id"]] else dict(r)
+        for r in found
+    ]
 
 
 def _heading(part: Part, found: comparison.Comparison, names: dict[str, str]) -> str:
@@ -173,6 +177,9 @@ def _continuous(part: Part, found: comparison.Comparison, names: dict[str, str])
         f"{_heading(part, found, names)}, with the 95 % interval of {found.resamples:,} paired bootstrap "
         "resamples; two-sided Wilcoxon signed-rank tests; Holm’s adjustment within each metric."
     )
-    notes = ["Shares and scores are in [0, 1]. Pairs in which either method has no value are left out."]
+    notes = [
+        "Shares and scores are in [0, 1]. Pairs in which either method has no value are left out, and pairs "
+        "of times of which one was measured alone and the other beside other episodes."
+    ]
     title = "Paired: other metrics"
     return Table(f"{part.set_name}_{part.name}_paired_metrics", title, caption, columns, lines, notes)

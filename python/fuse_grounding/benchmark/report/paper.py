@@ -69,9 +69,10 @@ def beside(part: Part, summaries: Mapping[str, Summary]) -> Table | None:
     counterpart = _COUNTERPARTS.get(part.name)
     if known is None or counterpart is None:
         return None
-    arms: dict[str, Arm] = {}
+    answering: dict[str, list[Arm]] = {}
     for arm in part.arms:
-        arms.setdefault(counterpart(arm), arm)
+        answering.setdefault(counterpart(arm), []).append(arm)
+    arms = {name: part.default(found) for name, found in answering.items()}
     shown = [m for m in _METRICS if any(m[0] in row for row in known.values())]
     columns = [Column("row", "Row of the paper", word=True)]
     if part.name != "main":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fuse_grounding.benchmark import comparison
@@ -133,9 +133,20 @@ def _table(
     return Table(f"{part.set_name}_{part.name}{suffix}", title, caption, columns, lines, notes)
 
 
+def concurrent(arms: Sequence[Arm]) -> list[str]:
+    """A warning where episodes ran beside others, so that their times are not the protocol's."""
+    beside = [plots.name(a) for a in arms if any(r.get("concurrent") for r in a.done)]
+    if not beside:
+        return []
+    return [
+        f"Measured while other episodes ran at the same time, which makes them slower: {', '.join(beside)}. "
+        "The supplement's protocol runs one after the other (`fuse bench --jobs 1`)."
+    ]
+
+
 def _notes(part: Part, found: Mapping[str, Summary], shown: list[str]) -> list[str]:
     known = {m.name: m for m in METRICS}
-    notes = []
+    notes = concurrent(part.arms) if "runtime_seconds" in shown else []
     if any(a.errors for a in part.arms):
         notes.append(
             "An episode that ended in an error is a failure: success 0, IoU 0, no value of the other metrics."

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from fuse_grounding.benchmark.latency import Latency, latency
 from fuse_grounding.benchmark.report import labels, paper, plots
 from fuse_grounding.benchmark.report.intervals import average, ratio
 from fuse_grounding.benchmark.report.load import Arm, Part
 from fuse_grounding.benchmark.report.model import Block, Cell, Column, Figure, Row, Table
+from fuse_grounding.benchmark.report.summary import concurrent
 from fuse_grounding.benchmark.report.svg import STYLES, Axis, Plot
 
 _LEAST = 0.005
@@ -64,9 +65,11 @@ def runtime(part: Part) -> Table:
     caption = (
         f"Runtime over the episodes of `{part.set_name}` that ran through, without loading (supplement, "
         "Runtime Protocol); speed-up: summed time of explicit search over that of the method, on the "
-        "episodes that both finished; in brackets bootstrap 95 % intervals."
+        "episodes that both finished, empty where one was measured alone and the other was not; in brackets "
+        "bootstrap 95 % intervals. The last query, for the final score, takes nothing where the returned "
+        "view is the last one that was looked at, as it always is for methods of one view."
     )
-    notes = [paper.WARNING, *_concurrent(part.arms)]
+    notes = [paper.WARNING, *concurrent(part.arms)]
     return Table(
         f"{part.set_name}_{part.name}_runtime", "Runtime and speed-up", caption, columns, lines, notes
     )
@@ -76,24 +79,16 @@ def _speedup(slow: Arm | None, arm: Arm) -> Cell:
     if slow is None:
         return Cell()
     theirs = {r["episode_id"]: plots.seconds(r) for r in slow.done}
-    pairs = [(theirs[r["episode_id"]], plots.seconds(r)) for r in arm.done if r["episode_id"] in theirs]
-    if not pairs:
+    beside = {r["episode_id"]: bool(r.get("concurrent")) for r in slow.done}
+    shared = [r for r in arm.done if r["episode_id"] in theirs]
+    pairs = [(theirs[r["episode_id"]], plots.seconds(r)) for r in shared]
+    # Of times taken alone and beside others no ratio says anything of the methods.
+    if not pairs or any(bool(r.get("concurrent")) != beside[r["episode_id"]] for r in shared):
         return Cell()
     if arm is slow:
         return Cell(1.0)
     found = ratio([a for a, _ in pairs], [b for _, b in pairs])
     return Cell(found.value, found.low, found.high)
-
-
-def _concurrent(arms: Sequence[Arm]) -> list[str]:
-    """A warning where episodes ran beside others, so that their times are not the protocol's."""
-    beside = [plots.name(a) for a in arms if any(r.get("concurrent") for r in a.done)]
-    if not beside:
-        return []
-    return [
-        f"Measured while other episodes ran at the same time, which makes them slower: {', '.join(beside)}. "
-        "The supplement's protocol runs one after the other (`fuse bench --jobs 1`)."
-    ]
 
 
 def _profiles(part: Part) -> dict[str, Latency]:
@@ -136,7 +131,7 @@ def _by_component(part: Part, found: Mapping[str, Latency]) -> Table:
     )
     title = "Latency by component"
     return Table(
-        f"{part.set_name}_{part.name}_latency", title, caption, columns, lines, _concurrent(part.arms)
+        f"{part.set_name}_{part.name}_latency", title, caption, columns, lines, concurrent(part.arms)
     )
 
 
