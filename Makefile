@@ -89,8 +89,8 @@ data: install
 	$(BIN)/fuse episodes generate --split all --out python/fuse_grounding/data/episodes
 	for set in train dev eval large; do $(BIN)/fuse episodes card $$set --out docs/episodes || exit; done
 
-# Every table of docs/results, from the rows that are kept there, with the packages that made them: hours,
-# resumable. `make results ROWS= RESULTS=DIR` starts from nothing.
+# The tables of docs/results over `eval` and `large`, from the rows that are kept there, with the packages that made
+# them (Python >= 3.11): hours, resumable. `make results ROWS= RESULTS=DIR` starts from nothing.
 RESULTS ?= runs/results
 ROWS ?= docs/results/rows.tar.xz
 LARGE ?= 200
@@ -98,10 +98,10 @@ results: install
 	$(BIN)/python -m pip install --quiet -r docs/results/packages.txt
 	@mkdir -p $(RESULTS)
 	@if [ -n "$(ROWS)" ]; then tar -xJf $(ROWS) -C $(RESULTS) --skip-old-files; fi
-	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
+	FUSE_SIMD=avx2+fma OMP_NUM_THREADS=1 $(BIN)/fuse bench --episodes eval --suite paper --jobs 2 --resume --out $(RESULTS)/paper
 	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes eval --methods \
 		static,random,sweep,explicit,amortized,fuse --timing --gallery 2 --resume --out $(RESULTS)/timing
-	FUSE_SIMD=avx2+fma $(BIN)/fuse bench --episodes large --limit $(LARGE) --methods \
+	FUSE_SIMD=avx2+fma OMP_NUM_THREADS=1 $(BIN)/fuse bench --episodes large --limit $(LARGE) --methods \
 		static,random,sweep,explicit,amortized,fuse --jobs 2 --resume --out $(RESULTS)/large
 	$(BIN)/fuse report $(RESULTS)/paper $(RESULTS)/timing $(RESULTS)/large --out docs/results/report
 

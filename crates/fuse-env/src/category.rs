@@ -1,4 +1,4 @@
-//! The kinds of things: id, label, how they are put down, which of them the network knows.
+//! The kinds of things: id, label, how they are put down.
 
 use std::collections::BTreeSet;
 use std::fmt;
