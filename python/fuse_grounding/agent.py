@@ -268,7 +268,9 @@ class Session:
         self.glance = Glance(seen, Viewpoint(index, seen.node, pitch, camera), scored)
         best, improved = grounding.best_fused(scored), False
         if index > 0 or self._config.return_.include_initial:
-            improved = self._patience.observe(None if best is None else best.fused)
+            begins = self._config.stopping.rule != "patience_once_found" or self.best is not None
+            if begins or best is not None:
+                improved = self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
             self._runner_up = surer(self._runner_up, self.glance)
         step = StepEntry(

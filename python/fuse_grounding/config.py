@@ -86,9 +86,11 @@ class StoppingConfig(Section):
     """Depth at which proximity is 1. Supplement, "Depth-Proximity Stopping Rule"."""
     far_m: Positive = 1.2
     """Depth at which proximity is 0. Supplement, "Depth-Proximity Stopping Rule"."""
-    rule: Literal["patience", "policy"] | None = None
-    """`patience`, or the policy alone; the budget ends a search in any case. None: as the method is defined,
-    which is the policy for `vlm` (supplement, "VLM Active")."""
+    rule: Literal["patience", "patience_once_found", "policy"] | None = None
+    """`patience`; the same, but counting from the first observation that has a score on (ours: as long as
+    nothing was found, there is nothing to be content with); or the policy alone. The budget ends a search in
+    any case. None: as the method is defined, which is `patience`, and for `vlm` the policy (supplement, "VLM
+    Active")."""
 
 
 class SsnrConfig(Section):

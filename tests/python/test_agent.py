@@ -57,6 +57,16 @@ def test_patience_counts_from_the_best_view_and_returns_it():
     assert len(world.acts) == 8
 
 
+def test_patience_may_begin_with_the_first_score():
+    rule = {"rule": "patience_once_found"}
+    found = walk(lambda node, pitch: 0.6 if node == 9 else 0.0, CONFIG.with_(stopping=rule))[0].record
+    assert [s.node for s in found.steps] == list(range(15))  # five views after the ninth
+    assert [s.index for s in found.steps if s.improved] == [9]
+    nothing = walk(lambda node, pitch: 0.0, CONFIG.with_(stopping=rule, budget={"actions": 8}))[0].record
+    assert nothing.result is not None
+    assert nothing.result.stop_reason == "budget: 8 actions"
+
+
 def test_the_budget_scores_one_view_more_than_it_makes_moves():
     config = CONFIG.with_(budget={"actions": 3})
     grounded, _, world = walk(lambda node, pitch: 0.1 + 0.05 * (node % 30), config)

@@ -55,7 +55,7 @@ def next_folder(root: Path) -> Path:
 
 def command(
     query: Annotated[str, typer.Argument(help='What it is for, such as "cut a piece of rope".')],
-    scene: Annotated[str | None, typer.Option(help="Scene configuration (`fuse episodes scenes` lists them).")] = None,
+    scene: Annotated[str | None, typer.Option(help="Scene, of `fuse episodes scenes`.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     method: Annotated[str | None, typer.Option(help="How to search; default: fuse.")] = None,
     segmenter: Segmenter = None,
