@@ -268,9 +268,8 @@ class Session:
         self.glance = Glance(seen, Viewpoint(index, seen.node, pitch, camera), scored)
         best, improved = grounding.best_fused(scored), False
         if index > 0 or self._config.return_.include_initial:
-            begins = self._config.stopping.rule != "patience_once_found" or self.best is not None
-            if begins or best is not None:
-                improved = self._patience.observe(None if best is None else best.fused)
+            counts = best or self.best or self._config.stopping.rule != "patience_once_found"
+            improved = bool(counts) and self._patience.observe(None if best is None else best.fused)
             self.best = self.glance if improved else self.best
             self._runner_up = surer(self._runner_up, self.glance)
         step = StepEntry(
@@ -365,15 +364,14 @@ class Session:
         with self.clock("ground"):
             fused = grounding.best_fused(view.scored)
             chosen = grounding.choose(view.scored, self._config.metric)
-            place = None
-            if chosen is not None:
-                place = grounding.locate(chosen.detection.mask, view.observation.depth, view.viewpoint.camera)
+            mask, depth = None if chosen is None else chosen.detection.mask, view.observation.depth
+            place = None if mask is None else grounding.locate(mask, depth, view.viewpoint.camera)
         if chosen is not None and self.best is None and view is self._runner_up:
             self.announce("no region was large enough to be scored; the surest smaller one is returned")
         self._close(step)
         self.grounded = Grounded(
             label=None if chosen is None else chosen.detection.label,
-            mask=None if chosen is None else chosen.detection.mask,
+            mask=mask,
             rgb=view.observation.rgb,
             viewpoint=view.viewpoint,
             score=None if fused is None else fused.fused,
