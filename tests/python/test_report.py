@@ -179,6 +179,7 @@ def test_parts_of_a_suite_are_compared_within_their_group(tmp_path: Path):
         (path / HEADER).write_text(json.dumps({**header, "group": "eta", "not_run": missing}))
     report = report_of(tmp_path / "s")
     assert [r.cells[0].value for r in table(report, "dev_eta").rows] == [0.6, 0.8, "eta_0.9"]
+    assert [r.cells[0].value for r in table(report, "dev_eta_endings").rows] == ["eta = 0.6", "eta = 0.8"]
     assert [r.note for r in table(report, "folders").rows if r.note] == ["not run: no time"]
 
 

@@ -72,6 +72,8 @@ def _part(part: Part, options: Options) -> list[Block]:
     found = summary.summaries(part)
     blocks: list[Block] = [summary.table(part, found)]
     blocks += [t for t in (summary.more(part, found), paper.beside(part, found)) if t is not None]
+    if part.name != MAIN and part.arms:  # of the main part it has a section, with what explains it
+        blocks.append(endings.table(part))
     reference = options.reference if part.name == MAIN and paired.has(part, options.reference) else None
     return blocks + list(paired.tables(part, reference))
 
