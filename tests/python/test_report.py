@@ -183,6 +183,18 @@ def test_parts_of_a_suite_are_compared_within_their_group(tmp_path: Path):
     assert [r.note for r in table(report, "folders").rows if r.note] == ["not run: no time"]
 
 
+def test_several_methods_under_several_settings_are_each_compared_with_themselves(tmp_path: Path):
+    for eta in (0.6, 0.8):
+        settings = {"gate": {"eta": eta}}
+        write_folder(tmp_path / str(eta), ["amortized", "fuse"], part="eta", settings=settings)
+    report = report_of(tmp_path)
+    for method, title in (("amortized", "Amortized Planner"), ("fuse", "FUSE")):
+        made = table(report, f"dev_eta_{method}_paired_success")
+        assert made.title == f"Paired: success, {title}"
+        assert made.caption.startswith(f"{title} (eta = 0.6) against the others")
+        assert [row.cells[0].value for row in made.rows] == [f"{title} (eta = 0.8)"]
+
+
 def test_a_part_run_by_hand_is_compared_with_its_suite(tmp_path: Path):
     """And what is there is not listed as not run."""
     note = ("evidence_clip_patches", "no weights")

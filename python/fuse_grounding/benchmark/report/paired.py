@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fuse_grounding.benchmark import comparison
 from fuse_grounding.benchmark.metrics import METRICS
-from fuse_grounding.benchmark.report import plots
-from fuse_grounding.benchmark.report.load import Arm, Part
+from fuse_grounding.benchmark.report import labels, plots
+from fuse_grounding.benchmark.report.load import MAIN, Arm, Part
 from fuse_grounding.benchmark.report.model import Cell, Column, Row, Table
 from fuse_grounding.benchmark.report.summary import ARM, metric_column, rows
 from fuse_grounding.benchmark.statistics import Interval
@@ -49,7 +51,26 @@ def reference(part: Part, wanted: str | None = None) -> Arm:
 
 
 def tables(part: Part, wanted: str | None = None) -> list[Table]:
-    """Success, then the continuous metrics; empty where there is nothing to compare."""
+    """Success, then the continuous metrics; empty where there is nothing to compare.
+
+    Where several methods were run under several settings, each is compared with itself.
+    """
+    by_method = Counter(arm.method for arm in part.arms)
+    several = [method for method, arms in by_method.items() if arms > 1]
+    if len(several) < 2 or part.name == MAIN:
+        return _of(part, wanted)
+    parts = [
+        replace(part, name=f"{part.name}_{m}", arms=[a for a in part.arms if a.method == m]) for m in several
+    ]
+    made = [
+        (table, labels.method(method))
+        for method, mine in zip(several, parts, strict=True)
+        for table in _of(mine)
+    ]
+    return [replace(table, title=f"{table.title}, {name}") for table, name in made]
+
+
+def _of(part: Part, wanted: str | None = None) -> list[Table]:
     shared = set(part.episodes)
     if len(part.arms) < 2 or not shared:
         return []
