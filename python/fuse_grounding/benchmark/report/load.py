@@ -164,10 +164,17 @@ def _of_one_version(folders: Sequence[Folder]) -> None:
     first = folders[0]
     for key in ("identity_version", "results_version", "data"):
         for other in folders[1:]:
-            where = first_difference(first.identity.get(key), other.identity.get(key), key)
+            where = _differs(key, first, first.identity.get(key), other, other.identity.get(key))
             if where is not None:
-                where = where.replace(" there ", f" in {first.path} ").replace(" here", f" in {other.path}")
                 raise InputError(f"{where}; results of two versions cannot be compared, report one of them")
+
+
+def _differs(key: str, first: Folder, found: Any, other: Folder, wanted: Any) -> str | None:
+    """The first key below `key` whose values differ, with both and the folders that they are in."""
+    where = first_difference(found, wanted, key)
+    if where is None:
+        return None
+    return where.replace(" there ", f" in {first.path} ").replace(" here", f" in {other.path}")
 
 
 def _find(folders: Sequence[Path]) -> list[tuple[Path, str]]:
@@ -255,9 +262,8 @@ def _made_alike(arm: Arm, folder: Folder) -> None:
     """Raises InputError where a folder has an arm's method with other weights, packages or devices."""
     for other in arm.folders:
         theirs, ours = (f.identity["methods"][arm.method] for f in (other, folder))
-        where = first_difference(theirs, ours, f"methods.{arm.method}")
+        where = _differs(f"methods.{arm.method}", other, theirs, folder, ours)
         if where is not None:
-            where = where.replace(" there ", f" in {other.path} ").replace(" here", f" in {folder.path}")
             raise InputError(f"{where}; these are two methods, report one of them")
 
 
